@@ -27,7 +27,7 @@ class Connector:
         profile: the options in force, frozen.
         out: the out-port.
         in_: the in-port.
-        parked: whether it is out of force for a time: no sample is written to it, unread ones stay.
+        parked: whether the connector is parked: for a time no sample is written to it; unread samples stay.
     """
 
     __slots__ = ("_transport", "in_", "out", "parked", "profile")
@@ -42,20 +42,20 @@ class Connector:
 
     @property
     def name(self) -> str:
-        """Unique in its kernel."""
+        """The connector's name, unique in its kernel."""
         return self.profile.name
 
     @property
     def closed(self) -> bool:
-        """True once disconnected."""
+        """Whether the connector was disconnected."""
         return self._transport.closed
 
     @property
     def statistics(self) -> ConnectorStatistics:
-        """The ledger at this moment.
+        """The counts of written, delivered, buffered and dropped samples at this moment.
 
         Raises:
-            ThreadError: read in another thread than the loop's, where neither end belongs to a ThreadContext.
+            ThreadError: read outside the loop's thread, while neither end belongs to a ThreadContext.
         """
         found = self._transport.statistics()
         kernel = None if self.profile.max_gap is None or self.out._host is None else self.out._host.kernel
@@ -86,7 +86,7 @@ class Connector:
         full: Literal["overwrite", "reject", "block"] | FullPolicy | None = None,
         **others: Never,
     ) -> None:
-        """Change options while connected: all that are given or, where one is refused, none. No sample is lost.
+        """Change options while connected; if one option is refused, none is changed. No sample is lost.
 
         Unread samples stay, even if they are more than the new length: a write then meets a full buffer, and by `full`
         overwrites one, is rejected, or waits until fewer than `length` are unread. Writers that wait for room go on as
@@ -119,7 +119,7 @@ class Connector:
 
 
 def transport_of(connector: Connector) -> Transport:
-    """The transport of a connector at this moment; ask each time, it may be replaced."""
+    """The connector's present transport; call this each time, since the transport may be replaced."""
     return connector._transport
 
 

@@ -1,4 +1,4 @@
-"""Methods that run on the current transport or receiver: another one may have its place once the lock is taken."""
+"""Methods that run on the current transport or receiver, which may be replaced while a method waits for the lock."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ R = TypeVar("R")
 
 
 def at_current(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any, P], R]:
-    """Run a method under the lock and on the current transport or receiver: it may be replaced before the lock is free.
+    """Run a method under the lock, on the transport or receiver that is the current one once the lock is taken.
 
-    Paths of each sample (`offer`, `wait_for_room`, `read`, `read_newest`) have this written out: a call costs too much.
+    `offer`, `wait_for_room`, `read` and `read_newest` run for each sample and repeat this code: a call costs too much.
     """
 
     @wraps(method)

@@ -38,10 +38,10 @@ class FarOutPort(OutPort[Any]):
     far: Path
     """The path of the port that it stands for; its own `path` may differ."""
     held: Callable[[], int]
-    """A function, set by the service: how many received samples are not written yet, since a reader has no room."""
+    """A function, set by the service, that counts the received samples not written yet for lack of room at a reader."""
     clock: tuple[int, int] | None
-    """The lead of the writer's clock over this kernel's, and its uncertainty, in ns; None: both use one clock. Set by
-    the service."""
+    """How far the writer's clock is ahead of this kernel's, and the error of that value, both in ns; None: one clock.
+    Set by the service."""
 
 
 class RemoteInPort(InPort[Any]):
@@ -114,7 +114,7 @@ class FarLedger(Protocol):
 
     @property
     def read(self) -> Mapping[str, Sequence[int]] | None:
-        """The ages of samples when they were read, where measured; None: the reader's end does not report them."""
+        """The measured ages of samples when they were read; None: the reader's end reports no ages."""
         ...
 
 
@@ -122,7 +122,7 @@ class FarPorts(Protocol):
     """The maker of far ports from paths."""
 
     def is_far(self, path: str) -> bool:
-        """Whether this is the path of a port in another kernel."""
+        """Whether `path` names a port in another kernel."""
         ...
 
     def open_as(self, *, elsewhere: bool) -> str:
@@ -152,11 +152,11 @@ class FarPorts(Protocol):
 
 
 def far_ends(kernel: KernelSide, where: str, ports: Sequence[Any]) -> list[Any]:
-    """These ports, with a stand-in for each that is in another kernel.
+    """These ports, with a stand-in in place of each port of another kernel.
 
     Args:
-        ports: ports, and paths of ports in other kernels; a port that is connected with another of these already gets
-            the same far port.
+        ports: ports, and paths of ports in other kernels; where two of them are connected already, their far port is
+            used again.
 
     Raises:
         WiringError: the ports do not go together.
@@ -182,7 +182,7 @@ def far_ends(kernel: KernelSide, where: str, ports: Sequence[Any]) -> list[Any]:
 
 
 def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | Port[Any]) -> Port[Any]:
-    """The stand-in for a port of another kernel: the one that is connected with `like` already, or a new one."""
+    """The stand-in for a port of another kernel: a stand-in already connected with `like`, else a new one."""
     path = _path(given)
     if not path.port:
         raise WiringError(f"{given}: is a component; give one of its ports")
@@ -197,7 +197,7 @@ def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | 
 
 
 def _path(port: str | Port[Any]) -> Path:
-    """The path of a port in another kernel, by which all kernels find it."""
+    """The path by which all kernels find a port that is in another kernel."""
     if isinstance(port, str):
         return Path.parse(port)
     assert port.elsewhere is not None  # noqa: S101 - else it is in this kernel
@@ -215,21 +215,21 @@ def far_port(
     """The stand-in for the port of this path, as the other end of a connector of `like`, a port of this kernel.
 
     Args:
-        shown: the path that the stand-in shows, where that is one of this kernel; "" shows `path`.
+        shown: the path that the stand-in shows, if it is a path of this kernel; "" shows `path`.
     """
     kind = FarInPort if isinstance(like, OutPort) else FarOutPort
     return _made(kernel, kind(like.type, unit=unit, shape=shape), path, shown or str(path))
 
 
 def stand_in(kernel: KernelSide, port: Port[Any]) -> FarInPort | FarOutPort:
-    """A stand-in for a port of a component in another kernel, where no component of this kernel has the other end."""
+    """A new stand-in for a port in another kernel; the connector's other end belongs to no component of this kernel."""
     kind = FarInPort if isinstance(port, InPort) else FarOutPort
     made = kind(port.type, unit=port.unit, shape=port.shape)
     return _as_long(_made(kernel, made, _path(port), port.path), port)
 
 
 def _as_long(made: FarInPort | FarOutPort, port: Port[Any]) -> FarInPort | FarOutPort:
-    """The stand-in `made`, with the connector length that the in-port declares."""
+    """The stand-in `made`; if it is an in-port, it now has the connector length that `port` declares."""
     if isinstance(made, InPort) and isinstance(port, InPort):
         made.length = port.length
     return made

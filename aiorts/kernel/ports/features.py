@@ -33,15 +33,15 @@ class Feature:
     """A row of the table of features: which connectors have the feature, and what it adds to their transports."""
 
     key: str
-    """The option that asks for the feature, for the message that no real-time thread has features at its ports."""
+    """The option that asks for the feature; also named when a real-time thread's port refuses the feature."""
     wanted: Callable[[ConnectorProfile], bool]
     """Whether a connector with these options has the feature."""
     mixins: Callable[[], tuple[type[FeaturedTransport], type[FeaturedTransport]]]
-    """The classes for connectors that carry samples at once, and at each period; called only where they are needed."""
+    """Returns the mixins for connectors that carry samples at once, and for periodic ones; called only when needed."""
     settles: bool = False
-    """Whether the reader's queue is settled (`Transport.settle`) before each look at it, and `take` is called."""
+    """Whether each read first settles the reader's queue (`Transport.settle`) and then takes the sample by `take`."""
     asks: bool = False
-    """Whether an empty queue is settled, too: a look at it may ask for a sample."""
+    """Whether an empty queue is settled, too: settling may ask the writer for a sample."""
     lock_free: bool = False
     """Whether a real-time thread may use such a connector: while one does, the connector is without the feature."""
 
@@ -52,7 +52,7 @@ _FEATURES: Final[list[Feature]] = []
 
 
 def offer(*features: Feature) -> None:
-    """Add these features to the table, in `ORDER`; those of one key stay as they are given."""
+    """Add these features to the table, sorted by `ORDER`; features with the same key keep their order."""
     _FEATURES[:] = sorted(dict.fromkeys((*_FEATURES, *features)), key=lambda feature: ORDER.index(feature.key))
 
 
@@ -87,7 +87,7 @@ class TransportKind:
         receiver.kind = at_once.kind = periodic.kind = self
 
     def of(self, profile: ConnectorProfile) -> type[Transport]:
-        """The class for connectors with these options."""
+        """The transport class for connectors with these options."""
         periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
         periodic = periodic and profile.far_end != "writer"  # over a link, the writer's end has the period
         plain = self.periodic if periodic else self.at_once
@@ -95,7 +95,7 @@ class TransportKind:
         return _composed(plain, tuple(feature.mixins()[periodic] for feature in found))
 
     def receiver_of(self, connectors: Iterable[Connector]) -> type[Receiver]:
-        """The class for an in-port with these connectors."""
+        """The receiver class for an in-port with these connectors."""
         return _composed(self.receiver, _receiver_mixins(connectors) if self.featured else ())
 
 
@@ -127,12 +127,12 @@ class FeaturedTransport(Transport):
         return super().offer(sample)
 
     def take_out(self, place: int) -> None:
-        """Take a sample out of the middle of the reader's queue: its writer gave up."""
+        """Remove the sample at index `place` from the reader's queue: its writer gave up."""
         del self.queue[place]
 
 
 class SettlingReceiver(Receiver):
-    """The receiver of an in-port whose queues are settled before each look. See `Receiver`."""
+    """The receiver of an in-port whose queues are settled before they are read. See `Receiver`."""
 
     __slots__ = ()
     has_fast_path = False
@@ -146,7 +146,7 @@ class SettlingReceiver(Receiver):
             if self.sole is not None:
                 self.sole.settle()
             return super().next()
-        # The connector with the oldest sample is searched again while settling took that sample away.
+        # If settling removed the oldest sample, the connector with the next oldest is searched.
         while (found := super().next()) is not None:
             found.settle()
             if found is super().next():
@@ -178,7 +178,7 @@ class SettlingReceiver(Receiver):
 
 
 class AskingReceiver(SettlingReceiver):
-    """The receiver of an in-port where each look may ask a writer for a sample. See `Receiver`."""
+    """The receiver of an in-port that may ask writers for a sample whenever it is read. See `Receiver`."""
 
     __slots__ = ()
 
@@ -189,7 +189,7 @@ class AskingReceiver(SettlingReceiver):
 
 
 def fit_receiver(port: InPort[Any]) -> Receiver:
-    """Give the in-port the receiver that its connectors need; the caller holds the lock and refreshes."""
+    """Give the in-port the receiver that its connectors need; the caller holds the lock and refreshes the port."""
     receiver = port._receiver
     kind = type(receiver).kind
     if type(receiver) is not kind.receiver_of(port._connectors):
@@ -207,7 +207,7 @@ def _receiver_mixins(connectors: Iterable[Connector]) -> tuple[type[Receiver], .
 
 
 def settles(profile: ConnectorProfile) -> bool:
-    """Whether the reader's queue of such a connector is settled before each look."""
+    """Whether the reader's queue of a connector with these options is settled before it is read."""
     return any(feature.settles for feature in features_of(profile))
 
 
@@ -215,7 +215,7 @@ _COMPOSED: Final[dict[tuple[type[Any], ...], Any]] = {}
 
 
 def _composed(plain: type[T], mixins: tuple[type[Any], ...]) -> type[T]:
-    """The class `plain` with these mixins before it, made once for each choice."""
+    """A class derived from these mixins and `plain`, made once for each combination."""
     bases = (*mixins, plain)
     if not mixins:
         return plain

@@ -1,4 +1,4 @@
-"""The statistics of a connector: the counts of its transport with their moment, and what was measured."""
+"""The statistics of a connector: its transport's counts, their time stamp, and the measured times."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Counted(Protocol):
 def statistics_of(
     transport: Counted, written: int, delivered: int, buffered: int, dropped: Mapping[str, int]
 ) -> ConnectorStatistics:
-    """The statistics of these counts, which are of this moment, and of the measured times."""
+    """The statistics made of these counts, which were taken now, and of the transport's measured times."""
     now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times
     latency = age = rate = within = None
     if times is not None:

@@ -68,15 +68,15 @@ class PortHost:
     realtime: bool = False
     """Whether the component runs in a real-time thread, which never waits."""
     prepare: Callable[[Any], None] | None = None
-    """Prepares an in-port that the component reads or writes to for its real-time thread; else None."""
+    """A function that prepares an in-port for the component's real-time thread; None: there is no such thread."""
     trial: tuple[object, ...] = ()
-    """Members whose component takes samples even in error: new code that failed, until the old code is back."""
+    """Members whose ports take samples even in error: their new code failed, and the old code is not back yet."""
     was_active: bool = False
-    """Whether the component, or the one that it replaced, was ever active."""
+    """Whether the component, or the component that it replaced, was ever active."""
     stopping: bool = False
-    """Whether the component's thread is to end: calls that block there give up."""
+    """Whether the component's thread is to end: blocking calls in that thread give up."""
     blocking: Blocking | None = None
-    """The way in which the component's thread waits at a port; None until it runs."""
+    """The way in which the component's thread waits at a port; None until the thread runs."""
 
     def __init__(self, name: str, turns: Turns) -> None:
         self.name = name
@@ -116,11 +116,11 @@ class PortHost:
         return self._kernel().call_later(seconds, callback)
 
     def deadline_ns(self, seconds: float | None) -> int | None:
-        """The time `seconds` from now on the kernel's clock, in ns; None is never."""
+        """The kernel clock's time, in ns, when `seconds` from now have passed; None: never."""
         return None if seconds is None else self._kernel().clock.monotonic_ns() + to_ns(seconds)
 
     def wait_in_thread(self, lock: PortLock, ready: Callable[[], bool], deadline_ns: int | None) -> bool:
-        """Block this thread, which is not the loop's, until `ready`; False when the deadline passed first."""
+        """Block this thread, which is not the loop's, until `ready` returns true; False: the deadline passed first."""
         blocking = self.blocking
         if blocking is None:
             raise StateError(f"{self.name}: only a hook of a ThreadContext may block, in that context's thread")

@@ -33,18 +33,18 @@ class InPort(Port[T]):
 
     Args:
         type, unit, shape, doc, name, max_connectors: see `Port`.
-        length: samples that a connector holds, unless the connection gives a length: for readers that want every one.
+        length: samples that a connector holds unless `connect` gives a length; for readers that need every sample.
     """
 
     __slots__ = ("_before", "_last", "_receiver", "length")
 
     direction: ClassVar[str] = "in"
     is_tap: ClassVar[bool] = False
-    """Whether a service reads at this port, and no component."""
+    """Whether a service, not a component, reads at this port."""
 
     @property
     def connectors(self) -> tuple[Connector, ...]:
-        """The live connectors of this port, in order of connection, without those of services and parked ones."""
+        """The live connectors of this port, in order of connection; not parked ones, nor those of services."""
         found = self._connectors
         while found and (found[-1].out.is_tap or found[-1].parked):
             found = found[:-1]
@@ -68,12 +68,12 @@ class InPort(Port[T]):
             raise DeclarationError(f"{name or 'in-port'}: length = {length!r}: expected a whole number from 1, or None")
         self.length = length
         self._last: T = NOTHING
-        """The sample read last, in this cycle of an event context: `NotifiedPorts` makes it `_before` in the next."""
+        """The sample read last in this cycle of an event context; `NotifiedPorts` moves it to `_before` at the next."""
         self._before: T | None = None
         self._receiver = Receiver(self)
 
     def bind(self, host: PortHost, name: str) -> InPort[T]:
-        """A live port of `host` made after this declaration."""
+        """Make a live port of `host` from this declaration."""
         limits: dict[str, Any] = {"max_connectors": self.max_connectors, "length": self.length}
         port = InPort(self.type, unit=self.unit, shape=self.shape, doc=self.doc, **limits)
         port._attach(host, name)
@@ -97,7 +97,7 @@ class InPort(Port[T]):
         """The oldest unread sample, waiting for one. A cancelled read takes nothing.
 
         Args:
-            timeout: seconds of the kernel's clock that it waits at most; 0 takes what is there; None is forever.
+            timeout: seconds of the kernel's clock to wait at most; 0 does not wait, None waits forever.
 
         Raises:
             ReadTimeout: no sample arrived in time.
@@ -176,7 +176,7 @@ class InPort(Port[T]):
 
     @property
     def is_new(self) -> bool:
-        """Whether there is an unread sample; with a pull connector, whether the writer has one."""
+        """Whether there is an unread sample, at a pull connector also at the writer."""
         queue = self._fast
         if queue is not OFF:
             return bool(queue)
@@ -217,7 +217,7 @@ class InPort(Port[T]):
         return _Samples(self)
 
     async def _read_within(self, seconds: float) -> T:
-        """Wait at most `seconds` for a sample, where there is none yet."""
+        """Wait at most `seconds` for a sample, at a port without an unread sample, and return it."""
         host = self._bound()
         if not isinstance(seconds, int | float) or not 0 <= seconds < inf:
             raise ConfigurationError(f"{self.path}: read: timeout = {seconds!r}: expected seconds from 0 on, or None")
@@ -281,7 +281,7 @@ class _Samples(AsyncIterator[T]):
 
 
 def read_all(port: InPort[Any], count: int) -> None:
-    """Take `count` samples from the queue that the port reads directly (`Receiver.direct`), which holds as many."""
+    """Take `count` samples from the queue that the port reads directly (`Receiver.direct`); the queue holds enough."""
     receiver = port._receiver
     queue = receiver.direct
     for _ in repeat(None, count - 1):
@@ -292,7 +292,7 @@ def read_all(port: InPort[Any], count: int) -> None:
 
 
 def read_alone(port: InPort[Any]) -> Any:
-    """The only sample of the queue that the port reads directly, while no writer waits; else NOTHING."""
+    """Read the only sample of the queue that the port reads directly; NOTHING: there are others, or a writer waits."""
     queue = port._fast
     if len(queue) != 1:
         return NOTHING
@@ -301,16 +301,16 @@ def read_alone(port: InPort[Any]) -> Any:
 
 
 def receiver_of(port: InPort[Any]) -> Receiver:
-    """The receiver of an in-port at this moment; ask each time, it may be replaced."""
+    """The in-port's present receiver; call this each time, since the receiver may be replaced."""
     return port._receiver
 
 
 def set_open(port: InPort[Any], is_open: bool) -> None:
-    """Take samples from now on, with empty buffers, or drop unread and later samples as inactive."""
+    """Open the port with empty buffers, or close it: unread and later samples are dropped as inactive."""
     if port._receiver.open is not is_open:
         port._receiver.set_open(is_open)
 
 
 def in_ports_at(port: Port[Any]) -> tuple[InPort[Any], ...]:
-    """The in-ports that the thread of this port's owner uses: this one, or those that this out-port writes to."""
+    """The in-ports that the thread of the port's owner uses: `port` itself, or the readers of an out-port."""
     return (port,) if isinstance(port, InPort) else tuple(dict.fromkeys(each.in_ for each in port._connectors))

@@ -1,9 +1,9 @@
-"""The sample that a writer wrote last, for connectors with `keep_last` and for looks at an out-port.
+"""The sample that a writer wrote last: connectors with `keep_last` offer it, and an out-port shows it.
 
 A write stores no copy: its sample is the newest in a connector's queue, or the one that the reader took last
-(`Transport.held`). Each write goes to every connector, so any of them has the sample, unless it was lost there: that
-transport gives it to the out-port (`Transport.miss`) and notes the loss (`missed`). An out-port without connectors has
-a `NoReader` to keep it.
+(`Transport.held`). Each write goes to every connector, so any of them has the sample. A transport that loses the sample
+gives it to the out-port (`Transport.miss`) and notes the loss (`missed`). In an out-port without connectors a
+`NoReader` keeps the sample.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.out_port import OutPort
 
 _PATIENCE: Final = 1000
-"""The most looks at an out-port while a thread is in the middle of a write there."""
+"""How often, at most, to check whether a thread has ended its write at an out-port."""
 
 
 def last_written(out: OutPort[Any]) -> Any:
@@ -34,7 +34,7 @@ def last_written(out: OutPort[Any]) -> Any:
 def offer_last(connector: Connector, written: int) -> None:
     """Offer the writer's last sample to a connector from which nothing was read yet, if its reader takes samples.
 
-    `written` samples were written when the reader began to take them: a later one is itself the writer's last.
+    `written` is the count when the reader opened; if it has grown, the reader has a later sample, and none is offered.
     """
     transport, out = connector._transport, connector.out
     if not transport.receiver.open or transport.delivered():
@@ -59,9 +59,9 @@ def to_be_offered(port: InPort[Any]) -> list[tuple[Connector, int]]:
 
 
 class Beginning:
-    """The first transport of an out-port at which a thread writes: marks a write as not at all connectors yet.
+    """The first transport of an out-port at which a thread writes: marks that a write has begun.
 
-    A connector made since the path was chosen gets the sample, too: its maker may have looked for it before.
+    A connector made after the port chose its paths gets the sample here: `offer_last` may have come too early for it.
     """
 
     __slots__ = ("_connectors", "_host", "_out")
@@ -85,7 +85,7 @@ class Beginning:
 
 
 class Ending:
-    """The last transport of such an out-port: marks the end of a write."""
+    """The last transport of an out-port at which a thread writes: marks the end of a write."""
 
     __slots__ = ("_host",)
 
@@ -103,7 +103,7 @@ class Ending:
 
 
 class NoReader:
-    """The stand-in for the transports of an out-port that has none."""
+    """The stand-in for a transport at an out-port without connectors: keeps the last sample."""
 
     __slots__ = ("_out",)
 

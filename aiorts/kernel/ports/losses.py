@@ -2,9 +2,9 @@
 
 A connector with default options drops the oldest sample when its reader is too slow, and any connector drops samples on
 which its converter fails. The count of further losses is logged after 10 s, after twice as long each time while losses
-go on, and when the connector ends; after a time without a loss the next one is a first again. One look names at most 8
-connectors. Where `connect` (`full`, `length`, `push`) or the port's own length chose what a slow reader loses, that is
-not logged: the ledger has every count.
+go on, and when the connector ends; after a time without a loss the next loss counts as a first one. Each report names
+at most 8 connectors. Losses that the user chose by options of `connect` (`full`, `length`, `push`) or by the
+port's own length are not logged: the ledger has every count.
 
 A sample that comes before its reader was ever active is lost silently, and a system may wait for it forever: the first
 such loss in a kernel is logged, with a remedy, unless the next samples come through soon.
@@ -39,7 +39,7 @@ WHY_DROPPED: Final = {
 """The explanation and the remedy, by the reason for which a connector dropped samples."""
 _LOG = KernelLog()
 _NEXT: Final = 1.0
-"""Seconds of the kernel's clock within which a writer that goes on makes up for a sample that came too early."""
+"""Seconds of the kernel's clock after a sample that came too early: if another gets through by then, no message."""
 _MOST_NAMED: Final = 8
 _SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
 
@@ -64,7 +64,7 @@ class Losses:
         """The connectors that lose samples, with the count of reported losses."""
         self._timer: Cancellable | None = None
         self._wait = distances.FIRST
-        """Seconds of the kernel's clock to the next look at connectors that lose samples."""
+        """Seconds of the kernel's clock to the next report on connectors that lose samples."""
         self._named = self._unnamed = 0
 
     def listen(self, connector: Connector) -> None:
@@ -73,7 +73,7 @@ class Losses:
         connector.out._refresh()
 
     def begin(self, connector: Connector) -> None:
-        """Report a connector's first loss, in this thread, soon, and the losses after it in summary."""
+        """Have the loop report a connector's first loss soon, and later losses in summary; from any thread."""
         connector._transport.losses = False
         connector.out._refresh()
         self._kernel.loop.call_soon_threadsafe(
@@ -157,7 +157,7 @@ class Losses:
 
 
 class Unconverted(Losses):
-    """The samples that converters failed on: the first of a connector is an event, too."""
+    """Reports of samples on which converters failed; a connector's first failure is also published as an event."""
 
     reason = "unconverted"
     lost = "dropped"
@@ -165,13 +165,13 @@ class Unconverted(Losses):
     def __init__(self, kernel: KernelSide) -> None:
         super().__init__(kernel)
         self._failing: set[Connector] = set()
-        """The connectors whose converter failed, and has not worked since the last look."""
+        """The connectors whose converter failed, until a check finds no further failure."""
 
     def listen(self, connector: Connector) -> None:
         self._failing.discard(connector)
 
     def failed(self, connector: Connector, explain: Callable[[], str]) -> None:
-        """Report a connector's first failed conversion, in this thread, and the failures after it in summary."""
+        """Have the loop report a connector's first failed conversion, and later ones in summary; from any thread."""
         if connector not in self._failing:
             self._failing.add(connector)
             self._kernel.loop.call_soon_threadsafe(self._first, connector, explain())
@@ -189,7 +189,7 @@ class Unconverted(Losses):
 
 
 class Early:
-    """The report of a kernel's first sample that came before its reader ever was active, if no other got through."""
+    """The message on a kernel's first sample that came before its reader was ever active, unless others get through."""
 
     __slots__ = ("_kernel", "_missed", "_said", "_timer")
 
@@ -197,11 +197,11 @@ class Early:
         self._kernel = kernel
         self._said = False
         self._missed: list[Connector] = []
-        """Connectors that have dropped such a first sample, until the next look."""
+        """Connectors that dropped their first sample since the last check."""
         self._timer: Cancellable | None = None
 
     def dropped_first(self, connector: Connector) -> None:
-        """Note that a connector dropped its first sample, in this thread, since its reader is not active.
+        """Note, from any thread, that a connector dropped its first sample because its reader is not active.
 
         Samples that no component waits for are not reported: those for a reader that was active before or joins a
         stream, and those of a tool. Over a link the reader's kernel reports them, since the writer's end drops none.
@@ -213,7 +213,7 @@ class Early:
             self._kernel.loop.call_soon_threadsafe(self._begun, connector)
 
     def close(self) -> None:
-        """Report what is due: all connectors are about to end, and no sample follows."""
+        """Report now what waits to be reported: all connectors are about to end."""
         if self._timer is not None:
             self._timer.cancel()
             self._look()

@@ -1,4 +1,4 @@
-"""The in-ports of one member of an event context: which have notified it, and whether it read their samples."""
+"""The in-ports of a member of an event context: those that notified the member, and whether it read their samples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from aiorts.kernel.ports.in_port import InPort
 from aiorts.kernel.ports.port import NOTHING, OFF
 
 _UNKNOWN: Final[deque[Any]] = deque((None,))
-"""The stand-in for a queue that cannot be looked at directly: the receiver is asked."""
+"""The stand-in for a queue that cannot be checked directly: it is never empty, so `left_unread` asks the receiver."""
 
 
 class NotifiedPorts(list[InPort[Any]]):
@@ -19,12 +19,12 @@ class NotifiedPorts(list[InPort[Any]]):
 
     def __init__(self) -> None:
         self.notified: list[InPort[Any]] = []
-        """The ports that got a sample since they were enabled to notify."""
+        """The ports that have notified the member of a sample, and are not enabled to notify again yet."""
         self.queue: deque[Any] = OFF
-        """A queue that is empty when `left_unread` has nothing to find after this cycle."""
+        """A queue; if it is empty after this cycle, no sample is unread and `left_unread` need not be called."""
 
     def begin_alone(self) -> bool:
-        """Begin a cycle where one port has notified and its one connector has data; False: call `begin` instead."""
+        """Begin the cycle if one port has notified and its only connector has data; False: call `begin` instead."""
         # Written out: every sample waits for this before its hook runs.
         notified = self.notified
         if len(notified) != 1:
@@ -42,7 +42,7 @@ class NotifiedPorts(list[InPort[Any]]):
         return True
 
     def begin(self) -> None:
-        """Begin any other cycle: one that was triggered, or that `begin_alone` does not handle."""
+        """Begin a cycle that was triggered, or for which `begin_alone` returned False."""
         if self.notified:
             self.enable_notify()
         for port in self:
@@ -70,7 +70,7 @@ class NotifiedPorts(list[InPort[Any]]):
         self.notified.clear()
 
     def find_data(self) -> bool:
-        """Enable all ports that have notified; return whether one still has data: it counts as having notified."""
+        """Enable all ports that have notified; return whether one still has data, which then stays in `notified`."""
         # Ports are enabled before they are checked: a sample written by a thread in between notifies again.
         notified, self.notified = self.notified, []
         for port in notified:

@@ -3,7 +3,7 @@
 `write` and `write_nowait` write the common case out in full: one connector, one reader, open, room. A Python call
 costs 25-40 ns, so a chain port -> connector -> buffer does not fit the budget. `_deliver` does the same for a full
 buffer and for any number of connectors. `_update_fast_path` decides at the first write after a change which connectors
-take which path; no write asks again.
+take which path; later writes decide nothing.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class OutPort(Port[T]):
 
     direction: ClassVar[str] = "out"
     is_tap: ClassVar[bool] = False
-    """Whether a service writes at this port, and no component."""
+    """Whether a service, not a component, writes at this port."""
 
     def __init__(
         self,
@@ -88,38 +88,38 @@ class OutPort(Port[T]):
         self._class: Any = _NoClass
         """The class of the samples that need no check; `_NoClass` while all need one."""
         self._look: Callable[[Any], Any] | None = None
-        """The only check that samples of exactly the port's class need; None while they need none, or a full one."""
+        """The only check that samples of exactly the port's class need; None: they need no check, or the full one."""
         self._receiver: Receiver | None = None
         self._room = 0
         self._saved: Any = NOTHING
-        """The sample written last, where no connector has it (`last_sample.py`)."""
+        """The sample written last, if no connector holds it (`last_sample.py`)."""
         self._sent = 0
-        """The count of samples written to all direct connectors alike; each of them counts these as its own."""
+        """The number of samples written to all direct connectors alike; each of them adds it to its own count."""
         self._stale = True
-        """Whether the connectors changed since the path was chosen."""
+        """Whether the connectors or their options changed since the paths were chosen."""
         self._shared: tuple[Transport, ...] = ()
-        """The direct transports, which `_sent` counts for."""
+        """The direct transports, for which `_sent` counts."""
         self._fan: tuple[tuple[deque[Any], int, bool | LossListener, Receiver], ...] = ()
-        """The direct transports whose reader has no other: each is its receiver's `sole`."""
+        """The direct transports whose reader has no other connector: each is its receiver's `sole`."""
         self._merged: tuple[_Way, ...] = ()
-        """The direct transports whose reader has several, and keeps the order of arrival."""
+        """The direct transports whose reader has several connectors, and keeps the order of arrival."""
         self._others: tuple[Transport, ...] = ()
-        """The transports that have to choose, stamp or lock."""
+        """The transports that are not direct: they have to choose samples, stamp them or take a lock."""
         self._answering: Transport | None = None
-        """The only transport, where it answers writes."""
+        """The port's only transport, if it answers writes (`Transport.answers`); else None."""
         self._blocking: tuple[_Way, ...] = ()
         """The direct transports with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
         """Shapes that a sample must have, each with the port that declares it: this one or a reader."""
         self._unlocked: tuple[Transport, ...] = ()
-        """The transports to receivers without a lock, whose readers are woken on the loop alone."""
+        """The transports to receivers without a lock, whose readers can be woken only on the loop."""
         self._thread = 0
-        """The loop's thread, where there is such a receiver."""
+        """The number of the loop's thread if `_unlocked` is not empty, else 0."""
         self._thread_writes: ThreadWrites | None = None
         """The writes of foreign threads; None before the first."""
 
     def bind(self, host: PortHost, name: str) -> OutPort[T]:
-        """A live port of `host` made after this declaration.
+        """Make a live port of `host` from this declaration.
 
         Raises:
             DeclarationError: the type cannot travel, or has no `tm` to stamp.
@@ -309,13 +309,13 @@ class OutPort(Port[T]):
         return self._deliver(sample)
 
     def _check_can_wake(self) -> None:
-        """Raise ThreadError where this thread, which is not the loop's, would have to wake a reader of the loop."""
+        """Called outside the loop's thread: raise ThreadError if a write would have to wake a reader of the loop."""
         for transport in self._unlocked:
             if transport.wakes:
                 raise transport.receiver.cannot_wake()
 
     def _without_room(self) -> Connector | None:
-        """A connector that a write would have to wait for."""
+        """A connector at which a write would have to wait for room; None: there is none."""
         for queue, room, _, _, transport in self._blocking:
             if len(queue) >= room:
                 return transport.connector
@@ -338,7 +338,7 @@ class OutPort(Port[T]):
                 )
 
     def _deliver(self, sample: T) -> bool:
-        """Write to every connector, none of which lacks room. All have the sample before any reader is woken."""
+        """Write to every connector; all have room. Every queue has the sample before the first reader is woken."""
         done = True
         notified: list[Receiver] = []
         for queue, room, keeps, receiver in self._fan:
@@ -421,7 +421,11 @@ class OutPort(Port[T]):
         return not entry.refused
 
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
-        """Deliver where there is room and queue up where there is none; without a loop a thread waits."""
+        """Write to connectors with room, and queue up at the others; `loop` is None where a thread waits.
+
+        Returns:
+            Whether no connector rejected the sample, and the entries that wait.
+        """
         done = True
         entries: list[Waiting] = []
         for connector in self._connectors:
@@ -435,7 +439,7 @@ class OutPort(Port[T]):
         return done, entries if len(entries) == len(self._connectors) else _Others(entries)
 
     async def _wait_for(self, entries: list[Waiting]) -> None:
-        """Wait until each entry was moved or its time is over; in any case no entry is abandoned."""
+        """Wait until each entry's sample was moved in or its time is over; afterwards none of the entries waits."""
         host = self._bound()
         late: list[tuple[Connector, float | None]] = []
 
@@ -463,7 +467,7 @@ class OutPort(Port[T]):
         _raise_late(self.path, late)
 
     def _wait_in_thread(self, entry: Waiting, until_ns: int | None) -> bool:
-        """Block this thread until `entry` was moved; False when its time is over.
+        """Block this thread until the sample of `entry` was moved in; False: `until_ns` came first.
 
         Raises:
             ClosedError: the thread's context stops.
@@ -478,7 +482,7 @@ class OutPort(Port[T]):
     def _checked(self, sample: T, host: PortHost | None = None) -> T:
         """The sample as it will travel: of the port's type and shape, stamped, immutable.
 
-        With `host`, in a foreign thread, the check relies on nothing that the loop changes.
+        A foreign thread gives `host`: then the check reads nothing that the loop may change meanwhile.
         """
         look = self._look
         try:
@@ -517,7 +521,7 @@ class OutPort(Port[T]):
 
     def _refresh(self) -> None:
         """Note that the connectors or their options have changed."""
-        # Only noted: else each change of one connector would cost as much as all connectors.
+        # The paths are chosen at the next write, not here: else each change would walk all connectors.
         self._stale = True
         self._class, self._look, self._fast, self._room = _NoClass, None, OFF, 0
 
@@ -532,7 +536,7 @@ class OutPort(Port[T]):
             host.kernel.connections.gaps.writes(self)
         transports = tuple(connector._transport for connector in connectors)
         direct = frozenset(() if host.debug else (transport for transport in transports if transport.direct))
-        # Two connectors to one reader keep their order: both go the direct way or none does.
+        # Connectors to one reader are all direct or none is: so their samples keep the order of arrival.
         slow = {transport.receiver for transport in transports if transport not in direct}
         direct = frozenset(transport for transport in direct if transport.receiver not in slow)
         for transport in self._shared:
@@ -581,7 +585,7 @@ class OutPort(Port[T]):
 
 
 def write_alone(port: OutPort[Any], sample: Any) -> bool:
-    """`write_nowait` in the loop's thread, of a sample that goes straight into one queue; False: it was not sent."""
+    """Write a sample straight into one queue, in the loop's thread; False: not sent, `write_nowait` is needed."""
     queue = port._fast
     if sample.__class__ is not port._class or len(queue) >= port._room:
         return False
@@ -596,7 +600,7 @@ def write_alone(port: OutPort[Any], sample: Any) -> bool:
 def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
     """Write the first of these samples, as many as go straight into one queue; return how many.
 
-    Only the first one notifies. Where each sample notifies the reader, one is written, or none.
+    Only the first sample notifies the reader. If every sample has to notify, at most one is written.
     """
     if port._stale:
         port._update_fast_path()
@@ -617,11 +621,11 @@ def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
 
 
 class _Others(list["Waiting"]):
-    """The entries of a write that waits at some connectors, while others have taken its sample."""
+    """The entries of a write that waits at some connectors, while other connectors have its sample already."""
 
 
 def _give_up_all(entries: list[Waiting], late: bool) -> None:
-    """End the waiting of all these entries; `late`: one has timed out."""
+    """End the waiting of all these entries; `late`: an entry of their write has timed out."""
     written = late or isinstance(entries, _Others) or any(entry.done for entry in entries)
     for entry in entries:
         if not entry.done:
@@ -629,7 +633,11 @@ def _give_up_all(entries: list[Waiting], late: bool) -> None:
 
 
 def _give_up(entry: Waiting, written: bool) -> bool:
-    """End the waiting of an entry; `written`: other connectors have the sample, or its time is over."""
+    """End the waiting of an entry; `written`: other connectors have the sample, or the write timed out.
+
+    Returns:
+        False when the sample was moved in meanwhile.
+    """
     transport = entry.connector._transport
     with transport.guard():
         missed = transport.missed == transport.position
@@ -657,12 +665,12 @@ def time_out(entry: Waiting) -> bool:
 
 
 class _NoClass:
-    """The class of no sample."""
+    """A class that no sample has."""
 
 
 _Way: TypeAlias = "tuple[deque[Any], int, bool | LossListener, Receiver, Transport]"
-"""A direct transport: its queue, its room, whether it keeps its samples when full (or the listener for the first that
-it does not keep), the receiver to wake, the transport that counts."""
+"""A direct transport, as a write needs it: its queue, `room`, `when_full`, the receiver to wake, and the transport,
+which counts."""
 
 
 def _raise_late(path: str, late: list[tuple[Connector, float | None]]) -> None:

@@ -24,7 +24,7 @@ P = TypeVar("P", bound="Port[Any]")
 D = TypeVar("D", bound="PortDeclaration")
 
 UNSUSPENDED: Final = 255
-"""Awaited reads and writes that may follow one another without giving the loop a turn."""
+"""How many awaited reads and writes may follow one another before the loop gets a turn."""
 
 UNLOCKED: Final = nullcontext()
 
@@ -32,7 +32,7 @@ OFF: Final[deque[Any]] = deque(maxlen=0)
 """The queue of a port while its fast path is off: always empty."""
 
 NOTHING: Final[Any] = object()
-"""The value of no sample: an in-port's last read one, while a cycle of an event context has read none."""
+"""Stands for "no sample", such as an in-port's last read sample while a cycle of an event context has read none."""
 
 
 class Turns:
@@ -58,17 +58,17 @@ class PortDeclaration:
     name: str
     """The port's name; "" where it is the attribute's."""
     elsewhere: Path | None = None
-    """The path of a port whose component runs in another kernel: only its connectors are in this one. Else None."""
+    """The port's path in the kernel where its component runs, if that is another kernel; else None."""
 
     def check_declared(self, cls: type[Any], attribute: str) -> None:
         """Raise DeclarationError when this class, or one derived from it, cannot have such a port."""
 
     def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
-        """The profile of the port that this declares; `ports` are those of the declarations before it."""
+        """The profile of the declared port; `ports` are the profiles of the declarations before this one."""
         raise NotImplementedError
 
     def add_to(self: D, component: Any, host: PortHost, name: str) -> D:
-        """The live port, in `host.ports` from now on. WiringError: there is one of that name already."""
+        """Make the live port and put it into `host.ports`. WiringError: `host` has a port of that name already."""
         raise NotImplementedError
 
     @property
@@ -80,7 +80,7 @@ class PortDeclaration:
 if TYPE_CHECKING:
 
     class End(Protocol[C]):
-        """A port, or an interface of one, that can be connected, with the kind of its connectors."""
+        """A port, or an interface of a port, that can be connected; `C` is the class of its connectors."""
 
         @property
         def connecting(self) -> Connecting | None: ...
@@ -94,10 +94,10 @@ class Connecting(Protocol):
 
     def plan(self, kernel: Any, ports: Sequence[Any], options: Mapping[str, Any], /) -> Sequence[tuple[str, Any]]: ...
 
-    """A path and a plan for each connector to be made; each plan's `make(name)` makes it. All are possible."""
+    """Check all connectors to be made; return a path and a plan for each: the plan's `make(name)` makes it."""
 
     def renewed(self, kernel: Any, profile: Any, /) -> Any:
-        """The plan of a connector that was there before, from its profile."""
+        """The plan by which an earlier connector is made again from its profile."""
 
     def end(self, connector: Any, /) -> None:
         """Take the connector out of force."""
@@ -131,7 +131,7 @@ class Port(PortDeclaration, Generic[T]):
 
     direction: ClassVar[str] = ""
     is_far: ClassVar[bool] = False
-    """Whether the port stands for one of another kernel, as one end of a connector."""
+    """Whether the port is a stand-in for a port of another kernel."""
 
     def __init__(
         self,
@@ -179,7 +179,7 @@ class Port(PortDeclaration, Generic[T]):
         return replace(self.profile, name=self.name or attribute)
 
     def bind(self: P, host: PortHost, name: str) -> P:
-        """A live port of `host` made after this declaration."""
+        """Make a live port of `host` from this declaration."""
         raise DeclarationError(f"{host.name}.{name}: expected InPort, OutPort, Provided or Required, got {self!r}")
 
     def add_to(self: P, component: Any, host: PortHost, name: str) -> P:
@@ -243,7 +243,7 @@ class Port(PortDeclaration, Generic[T]):
         return host
 
     def _wake_waiter(self) -> None:
-        """Wake all that wait at this port: they look again."""
+        """Wake all tasks and threads that wait at this port: each checks again."""
 
     def _make_locked(self) -> None:
         """Add a lock: from now on more than one thread uses this port."""
@@ -255,10 +255,10 @@ class Port(PortDeclaration, Generic[T]):
         self._wake_waiter()
 
     def _vacate(self, leaving: bool = True) -> None:
-        """Note that the component is about to go, or stays after all."""
+        """Note that the component is about to leave the kernel or, with `leaving=False`, that it stays after all."""
 
     def _unanswerable(self) -> Iterator[str]:
-        """The names of calls that this port offers and a thread, which has no event loop, cannot answer."""
+        """The names of this port's calls that a component in a thread, without an event loop, cannot answer."""
         return iter(())
 
     def _removed(self) -> bool:
@@ -314,7 +314,7 @@ def wake_waiter(port: Port[Any]) -> None:
 
 
 def vacate(port: Port[Any], leaving: bool = True) -> None:
-    """Note that the component of the port is about to go, or stays after all."""
+    """Note that the port's component is about to leave the kernel or, with `leaving=False`, that it stays after all."""
     port._vacate(leaving)
 
 
@@ -331,7 +331,7 @@ def give_up_blocking(port: Port[Any]) -> None:
 
 
 def unanswerable(ports: Iterable[Port[Any]]) -> tuple[str, ...]:
-    """The names of calls that these ports offer and a thread, which has no event loop, cannot answer."""
+    """The names of these ports' calls that a component in a thread, without an event loop, cannot answer."""
     return tuple(name for port in ports for name in port._unanswerable())
 
 
@@ -339,8 +339,9 @@ def check_room(port: Port[Any], more: int, limit: int | None, far: int = 0) -> N
     """Raise WiringError where a port takes no more connectors.
 
     Args:
-        limit: how many it takes at most; None is any number.
-        far: how many connectors other kernels have at it, apart from its own.
+        more: how many connectors are to be added.
+        limit: how many connectors the port takes at most; None is any number.
+        far: how many connectors of other kernels the port has, not counted in `port.connectors`.
     """
     has = len(port.connectors) + far
     if limit is not None and has + more > limit:

@@ -1,4 +1,4 @@
-"""The checks and copies of a port's type: chosen when the port is bound, used on the general path only."""
+"""The checks and copies that samples of a port's type need: chosen when the port is bound."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PortType:
 
         check_port_type(cls)
         self.look = look_at(cls)
-        """Makes the value that travels from one of exactly this class; None where the two are the same."""
+        """Makes, from a value of exactly this class, the value that travels; None: the value itself travels."""
         self.has_tm = has_tm(cls)
         self._plain = None if is_dataclass(cls) else cls
 
@@ -35,8 +35,8 @@ class PortType:
     def snapshot(self, sample: Any) -> Any:
         """The sample as it may travel: checked, and a copy where it could still change.
 
-        A subclass of a plain type (numpy's float64 is a float) travels as the plain value. RecordError: it does not
-        match its type.
+        A subclass of a plain type (numpy's float64 is a float) travels as the plain value. RecordError: the
+        sample does not match its type.
         """
         from aiorts.types import snapshot
 

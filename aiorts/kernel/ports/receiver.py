@@ -1,8 +1,8 @@
 """The receiver of an in-port: one bounded queue for each connector, read in the order of arrival.
 
-With several connectors the receiver keeps one token, the transport, for each unread sample, so that reading in order
-costs the same at any number of them. The token of an overwritten sample is dead: a transport counts in `dead` how many
-of its oldest tokens are, and a read passes over them. The new sample has a token of its own, at the end.
+With several connectors the receiver keeps a line of tokens, one for each unread sample: the token is the sample's
+transport. So reading in order costs the same at any number of connectors. The token of an overwritten sample is dead: a
+transport counts its dead tokens, its oldest ones, in `dead`, and a read passes over them. A new token goes to the end.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _THE_WRITER: Final = "the writer, which waits on the kernel's loop for room, and
 
 
 class EndingError(ClosedError):
-    """Ends a hook that waits for a sample when its component is to end: the writers have ended, no sample will come."""
+    """Ends a hook that waits for a sample while its component is to end: the writers have ended, none will come."""
 
 
 class Receiver:
     """The general path of an in-port: which sample is the next, which task waits for it, which callbacks are notified.
 
-    The classes of a `Kind` derive from it. `replace` puts one of another kind in its place.
+    The receiver class of each `Kind` derives from this class. `replace` puts a receiver of another kind in its place.
     """
 
     __slots__ = (
@@ -74,24 +74,24 @@ class Receiver:
         self.port = port
         self.lock: PortLock | None = None
         self.open = True
-        """Whether samples are taken: its component is active, or in no context."""
+        """Whether samples are taken: the component is active, or in no context."""
         self.direct: deque[Any] = OFF
-        """The queue that the port's `_fast` is while no writer waits for room in it."""
+        """The queue that the port reads directly, as its `_fast`, while no writer waits for room; else `OFF`."""
         self.plain = False
-        """Whether reading is the same at every connector: no lock, no stamp, no check."""
+        """Whether reading needs no lock, no stamp and no check at any connector."""
         self.read_stamps = 0
-        """Connectors that stamp when a sample is read."""
+        """The number of connectors that stamp a sample when it is read."""
         self.tokens: deque[Transport] | None = None
         self.arrivals = 0
-        """Samples that came while there were several connectors."""
+        """The number of samples that came while there were several connectors."""
         self.source: Connector | None = None
         self.sole: Transport | None = None
         self.sole_delivered = 0
         self.thread = 0
-        """The loop's thread: tasks that wait at a port without a lock are woken there."""
+        """The number of the loop's thread, in which tasks that wait at a port without a lock are woken."""
         self.waiter: asyncio.Future[None] | None = None
         self.callback: Callable[[InPort[Any]], object] | None = None
-        """The callback: one, or `_Callbacks` for several. Most in-ports have one; a tuple would take 64 bytes."""
+        """The only callback, or a `_Callbacks` for several. Most in-ports have one: a tuple would take 64 bytes."""
         self.notify_enabled = False
         """Whether the next sample wakes waiting readers and calls the callbacks."""
         self.extra: Any = None
@@ -103,7 +103,7 @@ class Receiver:
         return self.port._receiver
 
     def replace(self, kind: Kind, *, all_transports: bool) -> Receiver:
-        """Put a receiver of another kind in the place of this one, with all that it holds; and transports of that kind.
+        """Put a receiver of another kind in this one's place, with all that it holds; `all_transports`: those, too.
 
         On the loop; the caller holds the lock, and calls `refresh_all` afterwards.
         """
@@ -123,13 +123,13 @@ class Receiver:
         """Bring what this holds into the form that every kind takes over."""
 
     def take_over(self, old: Receiver) -> None:
-        """Take the state of another receiver, which reads no more."""
+        """Take the state of the receiver `old`, which is used no more."""
         for name in Receiver.__slots__:
             setattr(self, name, getattr(old, name))
         self.extra = None
 
     def exchange(self, old: Transport, new: Transport) -> None:
-        """Put one transport in the place of another."""
+        """Put the transport `new` in the place of `old`."""
         if self.sole is old:
             self.sole = new
         if self.tokens is not None:
@@ -143,13 +143,13 @@ class Receiver:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def check_thread(self) -> None:
-        """Raise ClosedError at a declaration; ThreadError, in debug mode, in a thread that is not the component's."""
+        """Raise ClosedError if the port is a declaration; in debug mode, ThreadError outside the component's thread."""
         host = self.port._host
         if host is None or host.debug:
             self.port._bound()
 
     def empty(self) -> WouldBlock:
-        """The exception to raise where there is no sample. ClosedError: the port was removed."""
+        """The WouldBlock to raise when there is no sample. ClosedError: the port was removed."""
         self.port._raise_if_removed()
         return WouldBlock(f"{self.port.path}: no unread sample")
 
@@ -166,7 +166,7 @@ class Receiver:
         return sole is not None and bool(sole.queue)
 
     def next(self) -> Transport | None:
-        """The transport whose sample is the oldest unread one; the caller holds the lock."""
+        """The transport that has the oldest unread sample, or None; the caller holds the lock."""
         tokens = self.tokens
         if tokens is not None:
             while tokens and tokens[0].dead:
@@ -176,7 +176,7 @@ class Receiver:
         return sole if sole is not None and sole.queue else None
 
     def newest(self) -> Transport | None:
-        """The transport whose sample arrived last of all that are unread; the caller holds the lock."""
+        """The transport that has the newest unread sample, or None; the caller holds the lock."""
         # A queue that is not empty ends with its transport's last arrival: reading takes the oldest.
         return max((one for one in self.transports if one.queue), key=attrgetter("arrived_at"), default=None)
 
@@ -265,7 +265,7 @@ class Receiver:
 
     @at_current
     def look(self) -> Any:
-        """The newest unread sample, which stays unread, else the one read last; None before the first."""
+        """The newest unread sample, which stays unread; else the sample read last; None before the first sample."""
         transport = self.newest() or self.next()
         return self.last_read if transport is None else transport.queue[-1]
 
@@ -278,11 +278,11 @@ class Receiver:
     def last_source(self) -> Connector | None:
         """See `InPort.last_source`."""
         sole = self.sole
-        # The fast path notes nothing; what it took from its one connector shows in that connector's ledger.
+        # The fast path notes no source: a grown count of delivered samples shows that it read from the only connector.
         return self.source if sole is None or sole.delivered() == self.sole_delivered else sole.connector
 
     def settle_tokens(self) -> None:
-        """Rebuild the order of arrival after samples left the queues other than one by one from the front."""
+        """Rebuild the order of arrival after samples left the queues in another way than one by one from the front."""
         if self.tokens is None:
             return
         left = {id(transport): len(transport.queue) for transport in self.transports}
@@ -296,9 +296,9 @@ class Receiver:
             transport.dead = 0
 
     def bury(self, transport: Transport) -> None:
-        """Remove the dead tokens of `transport`, which has more of them than it can have samples.
+        """Remove the dead tokens of `transport`, which has more dead tokens than its length.
 
-        The search goes back to its oldest dead token, and removes those of others on the way.
+        The search goes from the end to the oldest dead token of `transport`, and removes other dead tokens on the way.
         """
         if transport.dead <= len(transport.queue):
             return  # it has more samples than its length, which was larger before
@@ -322,7 +322,7 @@ class Receiver:
         Raises:
             BusyError: another task waits.
             ClosedError: the port was removed.
-            WouldBlock: the component's thread never waits.
+            WouldBlock: the component runs in a real-time thread, which never waits.
         """
         waiter = self.port._open_host().loop.create_future()
         try:
@@ -332,9 +332,9 @@ class Receiver:
             self.port._receiver.stand_down(waiter)
 
     def begin_wait(self) -> asyncio.Future[None] | None:
-        """The future that the next sample completes, if a task of the loop waits at a port without a lock, as most do.
+        """The future that the next sample completes, for the usual case: a task of the loop, a port without a lock.
 
-        None: `wait` waits, or raises the reason. The ten calls of `wait` take as long as the wake-up itself.
+        None: call `wait`, which waits or raises. The ten calls of `wait` take as long as the wake-up itself.
         """
         port = self.port
         host = port._host
@@ -355,7 +355,7 @@ class Receiver:
     def stand_by(self, waiter: asyncio.Future[None]) -> bool:
         """Complete `waiter` when a sample comes or the port is removed; return whether a sample is there already.
 
-        The caller calls `stand_down` in any case, of the receiver that the port has then.
+        The caller calls `stand_down` in any case, on the receiver that the port has by then.
 
         Raises:
             BusyError: another task waits.
@@ -368,7 +368,7 @@ class Receiver:
         if self.waiter is not None:
             raise BusyError(f"{port.path}: another task waits on this port; one at a time")
         with self.guard():
-            # Enabled before the look: a sample that another thread writes in between completes the waiter.
+            # Enabled before the check: a sample that another thread writes in between completes the waiter.
             self.waiter = waiter
             self.notify_enabled = True
             return self.unread()
@@ -386,9 +386,9 @@ class Receiver:
             self.enable_notify()
 
     def rest(self, wanted: Callable[[], bool], deadline_ns: int | None, *, for_data: bool) -> None:
-        """Block this thread of a ThreadContext until the port is removed, its context stops or `wanted` is true.
+        """Block this thread of a ThreadContext until the port is removed, the context stops or `wanted` returns true.
 
-        With `for_data` also until there is data; at most to the deadline.
+        With `for_data`, unread data end the wait, too. The deadline ends it in any case.
         """
         host, lock = self.port._bound(), self.lock
         if lock is not None:
@@ -403,7 +403,7 @@ class Receiver:
         """Note that a reader waited in vain."""
 
     def arrived(self, transport: Transport, displaced: int) -> None:
-        """Note a new sample in the queue of `transport`, and that so many of the oldest ones were `displaced`.
+        """Note a new sample in the queue of `transport`, which `displaced` so many of the oldest samples there.
 
         The writer holds the lock.
         """
@@ -421,8 +421,8 @@ class Receiver:
             self.notify_across() if self.lock is not None else self.notify()
 
     def notify_across(self) -> None:
-        """Notify, from any thread."""
-        # One wake-up for all samples written until the reader runs, which enables the next.
+        """`notify` from any thread: the loop's thread does it soon."""
+        # All samples written before the reader runs make one wake-up; the reader enables the next wake-up.
         self.notify_enabled = False
         self.on_loop(lambda: self.port._receiver.notify())
 
@@ -430,7 +430,7 @@ class Receiver:
         """Wake readers that wait for data and call the callbacks; reading on enables the next notification.
 
         Raises:
-            ThreadError: called in another thread than the loop's, which would wake no reader; it stays enabled.
+            ThreadError: called in another thread than the loop's, which can wake no reader; notification stays enabled.
         """
         if get_ident() != self.thread:
             raise self.cannot_wake()
@@ -448,14 +448,14 @@ class Receiver:
             self.notify_enabled = True
 
     def add_callback(self, callback: Callable[[InPort[Any]], object]) -> None:
-        """Call `callback` with the port when a sample comes; again after `enable_notify`, or if it returns True.
+        """Call `callback` with the port at the next sample; again if the call returns True, or after `enable_notify`.
 
-        Writes from another thread that come before the loop turns make one call together.
+        Samples that another thread writes before the loop turns make one call together.
         """
         self._call_each((*self._callbacks, callback))
 
     def remove_callback(self, callback: Callable[[InPort[Any]], object]) -> None:
-        """Call `callback` no more."""
+        """Stop calling `callback`."""
         self._call_each(tuple(each for each in self._callbacks if each != callback))
 
     @property
@@ -468,24 +468,24 @@ class Receiver:
         self.enable_notify()
 
     def enable_notify(self) -> None:
-        """Let the next sample notify, where a reader waits or there is a callback."""
+        """Let the next sample notify, if a reader waits or there is a callback."""
         self.notify_enabled = self.waiter is not None or self.callback is not None
 
     def end_waiting(self) -> None:
-        """Take out a waiter that was woken, though its task has not run yet: another task may wait."""
+        """Remove a waiter that was woken but whose task has not run yet, so that another task may wait."""
         if self.waiter is not None and self.waiter.done():
             self.waiter = None
             self.enable_notify()
 
     def wake_waiter(self) -> None:
-        """Let a waiting read find out that the port is gone."""
+        """Wake reads that wait: the port was removed, or calls that block are to give up."""
         self.wake_threads()
         waiter, self.waiter = self.waiter, None
         if waiter is not None and not waiter.done():
             waiter.set_result(None)
 
     def wake_threads(self) -> None:
-        """Wake threads that sleep at this port: they look again."""
+        """Wake threads that sleep at this port: each checks again."""
         if self.lock is not None:
             with self.lock:
                 self.lock.notify_all()
@@ -496,12 +496,12 @@ class Receiver:
             self.lock.notify_all()
 
     def _check_writers(self) -> None:
-        """Raise ThreadError when a read in this thread would let a writer in and could not wake it."""
+        """Raise ThreadError if a read in this thread would make room for a waiting writer but could not wake it."""
         if self.lock is None and get_ident() != self.thread and any(one.waiting for one in self.transports):
             raise self._cannot_wake(_THE_WRITER)
 
     def cannot_wake(self) -> ThreadError:
-        """The error of a write in a thread that cannot wake the reader."""
+        """The error for a write in a thread that cannot wake the reader."""
         return self._cannot_wake(_THE_READER)
 
     def _cannot_wake(self, whom: str) -> ThreadError:
@@ -527,7 +527,7 @@ class Receiver:
             self.refresh_all()
 
     def fit(self, transport: Transport) -> None:
-        """Make the transport of a new connector one of the receiver's kind."""
+        """Replace the transport of a new connector, if necessary, by one of the receiver's kind."""
 
     def connector_ended(self) -> None:
         """Note that a connector of this port has ended."""
@@ -538,7 +538,7 @@ class Receiver:
             transport.mute()
 
     def set_open(self, is_open: bool) -> None:
-        """Open with empty buffers, or close and drop unread samples as inactive."""
+        """Open the port with empty buffers, or close it and drop unread samples as inactive."""
         with self.guard():
             if (now := self.port._receiver) is not self:
                 return now.set_open(is_open)
@@ -563,12 +563,12 @@ class Receiver:
         self.source = self.sole = None
 
     def refresh_all(self) -> None:
-        """Choose the paths of this port, and of all that write to it, again."""
+        """Choose again the read path of this port and the write paths of all ports that write to it."""
         self.refresh()
         self.refresh_writers()
 
     def refresh_writers(self) -> None:
-        """Choose the paths of all that write to this port again."""
+        """Have all ports that write to this port choose their write paths again."""
         for connector in self.port._connectors:
             connector.out._refresh()
 

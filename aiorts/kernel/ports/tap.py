@@ -1,7 +1,7 @@
 """Taps: a service takes what an out-port writes, or gives an in-port samples, without being a part of the system.
 
 A tap is a port of no component. `Port.connectors`, `Kernel.connectors`, profiles, supervision and the end of a run do
-not know it: a system is the same with a tap and without. A tap reads and writes like any port, also across threads.
+not show taps: a system is the same with a tap and without. A tap reads and writes like any port, also across threads.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
     from aiorts.model.profile import ConnectorProfile
 
 _NUMBERS: Final = count(1)
-"""The numbers of connectors over links: both kernels know each by its name."""
+"""The numbers that make the names of taps' connectors over links unique: both kernels find a connector by its name."""
 
 
 class Tap(InPort[Any]):
-    """The reading end of a service. See `Connections.tap`."""
+    """The in-port by which a service reads what an out-port writes. See `Connections.tap`."""
 
     __slots__ = ()
     is_tap = True
 
 
 class Injector(OutPort[Any]):
-    """The writing end of a service. See `Connections.inject`."""
+    """The out-port by which a service writes to an in-port. See `Connections.inject`."""
 
     __slots__ = ()
     is_tap = True
@@ -73,7 +73,7 @@ def make_tap(
 
 
 def _beyond(kernel: KernelSide, port: Port[Any], profile: ConnectorProfile) -> tuple[Any, ConnectorProfile, str]:
-    """A stand-in for a port in another process, the options of a connector to it, and a port name of its own."""
+    """A stand-in for a port in another process, the options of a connector to it, and a unique name for the tap."""
     number = str(next(_NUMBERS))
     end = stand_in(kernel, port)
     linked = replace(
@@ -88,7 +88,7 @@ def _beyond(kernel: KernelSide, port: Port[Any], profile: ConnectorProfile) -> t
 
 
 def resize(connector: Connector, length: int) -> None:
-    """Set how many samples a tap holds; the next write of a thread may still use the length before."""
+    """Set how many samples a tap holds; a thread's next write may still use the former length."""
     transport_of(connector).length = length
     connector.profile = replace(connector.profile, length=length)
     refresh(connector.out)

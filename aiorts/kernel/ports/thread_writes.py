@@ -1,8 +1,8 @@
 """The writes of foreign threads at an out-port: a bounded queue that the loop empties, with counts of its own.
 
 Neither side takes a lock that the other may hold: a thread that is not scheduled would stop the loop. A deque's `pop`,
-`popleft` and `append` are atomic, so each right is an item that only one thread can take: `_free` has one for each
-sample that may still wait, `_idle` has the right to start the task that empties the queue.
+`popleft` and `append` are atomic, so a right is an item of a deque, which only one thread can take: `_free` has an item
+for each sample that may still be queued; the item of `_idle` is the right to start the task that empties the queue.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.timing import mean_rate
 
 LIMIT: Final = 1024
-"""Samples that wait at one out-port at most."""
+"""The most samples that may wait at one out-port."""
 BATCH: Final = 256
-"""Samples that the loop takes in one turn at most."""
+"""The most samples that the loop takes in one turn."""
 
 _MAKING: Final = threading.Lock()
-"""Held while an out-port gets its queue, which two threads may ask for at once."""
+"""A lock, held while an out-port gets its queue: two threads may need the queue at once."""
 
 
 class ThreadWrites:
@@ -35,7 +35,7 @@ class ThreadWrites:
         self._port = port
         self._open = True
         self._since_ns: int | None = None
-        """The time of the first sample."""
+        """The time of the first write, on the kernel's monotonic clock."""
         self._samples: deque[Any] = deque()
         self._free = deque(repeat(None, LIMIT))
         self._idle = deque((None,))
@@ -43,9 +43,9 @@ class ThreadWrites:
         """The threads that wait for room, each as a lock that is released when there is room."""
         self._refusing = threading.Lock()
         self._refused = 0
-        # The following attributes are the loop's alone.
+        # Only the loop's thread uses the following attributes.
         self._held = 0
-        """Whether a sample is out of the queue and waits for room at a reader."""
+        """1 while a sample that was taken out of the queue waits for room at a reader, else 0."""
         self._written = 0
         self._dropped = {"timeout": 0, "closed": 0}
 
@@ -115,7 +115,7 @@ class ThreadWrites:
     # -- on the loop -----------------------------------------------------------------------------------------------
 
     def set_open(self, is_open: bool) -> None:
-        """Accept samples, or drop those that wait as closed and refuse later ones."""
+        """Accept samples, or drop queued samples as closed and refuse later ones."""
         self._open = is_open
         if not is_open:
             self._drop_all()
@@ -124,7 +124,7 @@ class ThreadWrites:
         kernel_task(self._host().loop, self._pass_on(), f"aiorts writes of threads at {self._port.path}")
 
     async def _pass_on(self) -> None:
-        """Write the samples that wait, until none does."""
+        """Write the queued samples until the queue is empty."""
         left = BATCH
         try:
             while self._samples and self._open:
@@ -179,13 +179,13 @@ class ThreadWrites:
         self._let_in()
 
     def _let_in(self) -> None:
-        """Wake the threads that wait for room: they look again."""
+        """Wake the threads that wait for room: each checks again."""
         for _ in range(len(self._blocked)):
             self._blocked.popleft().release()
 
 
 def thread_writes_of(port: Any) -> ThreadWrites:
-    """The writes of foreign threads at this out-port, made at the first call. ClosedError: it has no component."""
+    """The out-port's `ThreadWrites`, made at the first call. ClosedError: the port belongs to no component."""
     found: ThreadWrites | None = port._thread_writes
     if found is None:
         if port._host is None:

@@ -3,11 +3,11 @@
 `OutPort` and `InPort` inline the common case (`out_port.py`, `in_port.py`) and come here for everything else.
 
 Only `written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment. An
-out-port counts once the samples that it gives to all direct connectors alike (`OutPort._sent`); those that full buffers
-displace there are one number (`displaced`). A look at the counts adds both. `model/` decides; this file carries out.
+out-port counts the samples for all its direct connectors once, in `OutPort._sent`; each transport counts in `displaced`
+what its full buffer lost. Reading the counts adds both. `model/` decides, this file carries out.
 
-Across threads the receiver has a lock, and every path here that touches its queues takes it: its fast path is off. The
-transport may be replaced while a method waits for the lock: `at_current` runs it on the current one.
+Across threads the receiver has a lock and no fast path; every method here that touches the receiver's queues takes the
+lock. The transport may be replaced while a method waits for the lock: `at_current` runs the method on the current one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.receiver import Receiver
 
 
-# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+# Enum members as globals: on CPython 3.11 a look-up in the Enum class costs eight times as much.
 _NEW = Push.NEW
 _SKIP = Push.SKIP
 _BLOCK = FullPolicy.BLOCK
@@ -54,7 +54,7 @@ _NO_DROPS: Final[Mapping[str, int]] = MappingProxyType({})
 
 
 class Kind(Protocol):
-    """A row of the table of transports, as the classes that it names see it: see `TransportKind` in `features.py`."""
+    """A row of the table of transports, as transports and receivers use it: see `TransportKind` in `features.py`."""
 
     def of(self, profile: ConnectorProfile) -> type[Transport]: ...
     def receiver_of(self, connectors: Iterable[Connector]) -> type[Receiver]: ...
@@ -68,7 +68,7 @@ class LossListener(Protocol):
 
 @dataclass(eq=False, slots=True)
 class Waiting:
-    """A sample whose writer waits for room: the reader that makes room moves it.
+    """A sample whose writer waits for room: the reader that makes room moves the sample into the queue.
 
     A writer in a thread has no future and waits on the receiver's lock.
     """
@@ -78,15 +78,16 @@ class Waiting:
     future: asyncio.Future[None] | None
     done: bool = False
     refused: ClassVar[bool] = False
-    """Whether the reader had no room for it after all, so that the write returns False."""
+    """Whether the reader had no room for the sample after all, so that the write returns False."""
     late: ClassVar[bool] = False
-    """Whether its time was over first, where the transport keeps the timeout (`send_now`)."""
+    """Whether the write timed out, where the transport keeps the timeout (`send_now`)."""
 
 
 class Transport:
     """Carries the samples of one connector in a bounded queue, which a sample enters as soon as it is written.
 
-    The classes of a `TransportKind` (`features.py`) derive from it. `replace` puts one of another kind in its place.
+    The transport classes of each `TransportKind` (`features.py`) derive from this class. `replace` puts a transport of
+    another kind in its place.
     """
 
     __slots__ = (
@@ -120,7 +121,7 @@ class Transport:
     answers: ClassVar[bool] = False
     """Whether a write waits for an answer: `send_now` may send its sample."""
     listenable: ClassVar[bool] = True
-    """Whether it may have listeners: no real-time thread uses it."""
+    """Whether the transport may have listeners: no real-time thread uses it."""
 
     def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
         profile = connector.profile
@@ -129,37 +130,37 @@ class Transport:
         self.closed = False
         self.queue: deque[Any] = deque()
         self.length = profile.length
-        # Pull: the writer keeps its latest unread sample, the reader asks for it; data wake no reader.
+        # Pull: the writer keeps its latest unread sample until the reader asks; data wake no reader.
         chosen = Push.ALL if profile.subscription is Subscription.FLUSH else profile.push
         if profile.far_end == "writer" and chosen is _SKIP:
             chosen = Push.ALL  # the writer's end leaves out what is skipped
         self.push = _NEW if profile.dataflow is _PULL else chosen
         self.arrived_at = 0
-        """When the newest sample arrived, counted at a receiver with several connectors."""
+        """The number of the newest sample in the receiver's count of arrivals, while it has several connectors."""
         self.dead = 0
-        """Tokens that such a receiver still has for overwritten samples: at most `length`, or as many as are unread."""
+        """The number of dead tokens (`receiver.py`) of this transport: at most `length`, or as many as are unread."""
         self.waiting: OrderedDict[Waiting, None] | None = None  # no deque: thousands that give up would search it
-        """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
+        """The writers that wait for room; while any writer waits, the buffer is full. None before the first."""
         self.clock = kernel.clock
         self.times = ConnectorTimes(profile.measure, kernel.clock.monotonic_ns()) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
-        """The listener for the next overwritten sample, where `full` was not chosen; False: it was notified."""
+        """The listener for the next overwritten sample; None: losses are not reported; False: it was notified."""
         self.last: Any = NOTHING
-        """The sample of this connector that was read last, where reading takes the general path."""
+        """The sample of this connector that was last read on the general path."""
         self.missed = 0
-        """The `position` at which the newest sample is missing here: the out-port keeps it."""
+        """The `position` of the last sample that was lost here and that the out-port keeps."""
         self.offered = 0
-        """How many of the samples written are the writer's last, offered by `keep_last`: no push policy counts them."""
+        """The number of samples in `written` that `keep_last` offered: the push policy does not count these."""
         self.extra: Any = None
         """Data that another kind of transport, or a feature, keeps in addition."""
         self.listeners: Any = None
-        """The listeners (`observe/listening.py`), also while a real-time thread is there and they get no samples."""
+        """The listeners (`observe/listening.py`); a real-time thread here keeps samples from them, but they stay."""
         self.written = 0
         """Samples written, without those that the out-port counts for all of its direct connectors."""
         self.shared = False
-        """Whether the out-port counts for this connector, too."""
+        """Whether the out-port's `_sent` counts samples for this connector, too."""
         self.displaced = 0
-        """Samples that a full buffer displaced or refused and `dropped` does not have yet."""
+        """The number of samples that a full buffer displaced or refused, and that `dropped` does not include yet."""
         self.dropped: Mapping[str, int] = _NO_DROPS
 
     @property
@@ -168,11 +169,11 @@ class Transport:
         return self.connector._transport
 
     def replace(self, kind: Kind, receiver: Receiver) -> None:
-        """Put a transport of another kind in the place of this one, with all that waits in it and its counts.
+        """Put a transport of another kind, with this one's samples, waiting writers and counts, in its place.
 
         On the loop; the caller holds the lock, and has the ports update their fast path afterwards.
         """
-        # The out-port's count for several connectors cannot include one that is not direct.
+        # The out-port's `_sent` counts for direct connectors only.
         self.share(False, self.connector.out._sent)
         self.count_displaced()
         self.hand_over()
@@ -186,14 +187,14 @@ class Transport:
         """Bring what this holds into the form that every kind takes over."""
 
     def take_over(self, old: Transport, receiver: Receiver) -> None:
-        """Take the state of another transport, which carries no more samples."""
+        """Take the state of the transport `old`, which carries no more samples."""
         for name in Transport.__slots__:
             setattr(self, name, getattr(old, name))
         self.receiver = receiver
         self.extra = None
 
     def change(self, profile: ConnectorProfile) -> None:
-        """Put other options in force, on the loop. Writers that need not wait any more are let in before."""
+        """Put other options in force, on the loop. Samples whose writers need not wait any more are moved in."""
         with self.guard():
             self.settle()
             self.count_displaced()
@@ -205,7 +206,7 @@ class Transport:
         self.connector.out._refresh()
 
     def carry_on(self, old: Transport) -> None:
-        """Continue the work of a transport with other options, which carries no more; the caller holds the lock."""
+        """Continue the work of `old`, which has other options and carries no more samples; the caller locks."""
         for name in _CARRIED_ON:
             setattr(self, name, getattr(old, name))
         if old.times is not None and self.times is not None and old.times.ages.maxlen == self.times.ages.maxlen:
@@ -237,9 +238,9 @@ class Transport:
         return self.total() - sum(self.dropped.values()) - self.buffered
 
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
-        """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
+        """The samples written, buffered, and dropped by reason; from any thread, without a lock, without a change.
 
-        For a look into a process that is stuck; inexact while the connector is used, unlike `statistics`.
+        Made for diagnosing a process that is stuck; inexact while the connector is used, unlike `statistics`.
         """
         dropped = dict(self.dropped)
         if displaced := self.displaced:
@@ -257,7 +258,7 @@ class Transport:
         return self.written + self.connector.out._sent if self.shared else self.written
 
     def share(self, shared: bool, sent: int) -> None:
-        """Let the out-port count for this connector from now on, or no longer; its count so far is `sent`."""
+        """Let the out-port count for this connector from now on, or no longer; `sent`: the out-port's count so far."""
         if shared is not self.shared:
             self.shared = shared
             self.written += -sent if shared else sent
@@ -270,10 +271,10 @@ class Transport:
             self._note_drop(reason, displaced)
 
     def settle(self) -> None:
-        """Bring the queue to what may still be read, before a look at it."""
+        """Remove what may not be read any more from the queue, before the queue is read."""
 
     def drop(self, reason: str, count: int = 1) -> None:
-        """Count so many samples as dropped."""
+        """Count `count` samples as dropped for `reason`."""
         self.count_displaced()
         self._note_drop(reason, count)
 
@@ -305,7 +306,7 @@ class Transport:
 
     @property
     def direct(self) -> bool:
-        """Whether a write may go straight into the queue: nothing to choose, stamp or lock."""
+        """Whether a write may go straight into the queue: there is nothing to choose, stamp or lock."""
         profile, receiver = self.connector.profile, self.receiver
         return (
             not self.closed
@@ -320,17 +321,17 @@ class Transport:
 
     @property
     def room(self) -> int:
-        """How many unread samples fit."""
+        """How many unread samples the queue may hold."""
         return 1 if self.push is _NEW else self.length
 
     @property
     def keeps(self) -> bool:
-        """Whether a full buffer keeps what it has."""
+        """Whether a full buffer keeps its samples, and no new one replaces them."""
         return self.push is not _NEW and self.connector.profile.full is not FullPolicy.OVERWRITE
 
     @property
     def when_full(self) -> bool | LossListener:
-        """Whether a full buffer keeps what it has; or the listener to notify that it does not."""
+        """`keeps`, or, if a full buffer loses its samples, the listener to notify of the loss."""
         return self.keeps or self.losses or False
 
     @property
@@ -349,7 +350,7 @@ class Transport:
         return self.blocks and self._lacks_room()
 
     def _lacks_room(self) -> bool:
-        """Whether a sample written now is to go into the queue, and finds that full."""
+        """Whether a sample written now is for the queue, and the queue is full."""
         if self.closed or not self.receiver.open or self.retired:
             return False
         if len(self.queue) < self.length and not self.waiting:
@@ -366,7 +367,7 @@ class Transport:
         return admits(self.push, self.connector.profile.skip, self.written + 1 - self.offered)
 
     def offer(self, sample: Any) -> bool:
-        """Take a sample that need not wait; False when it was rejected."""
+        """Take a sample that need not wait for room; False: the sample was rejected."""
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.offer(sample)
@@ -385,20 +386,20 @@ class Transport:
 
     @at_current
     def time_out(self, entry: Waiting) -> None:
-        """Count a sample that was written and had no room in time."""
+        """Count the sample of a write that timed out as written and dropped."""
         self.written += 1
         self.drop("timeout")
 
     def take(self) -> Any:
-        """The oldest sample of the queue, which has one; the caller holds the lock."""
+        """Take the oldest sample out of the queue, which is not empty; the caller holds the lock."""
         sample = self.last = self.queue.popleft()
         if self.waiting:
             self.admit_waiting()
-        # `stamp_out` in part, written out: every sample that is not read directly passes here.
+        # A part of `stamp_out`, repeated here: every sample that is not read directly passes this line.
         return sample if self.connector.profile.stamp is not _READ else self.stamp_out(sample)
 
     def take_newest(self) -> Any:
-        """The newest sample of the queue, which has one, older ones superseded; the caller holds the lock."""
+        """Take the newest sample of the queue, which is not empty, and drop older ones; the caller holds the lock."""
         sample = self.last = self.queue.pop()
         if self.queue:
             self.drop_these("superseded", self.queue)
@@ -407,7 +408,7 @@ class Transport:
         return self.stamp_out(sample)
 
     def discard(self, reason: str) -> None:
-        """Drop what is queued; the caller holds the lock."""
+        """Drop the queued samples, not those of waiting writers; the caller holds the lock."""
         newest = NOTHING
         if self.queue:
             newest = self.queue[-1]
@@ -418,7 +419,7 @@ class Transport:
             self.lose(newest)
 
     def close(self) -> None:
-        """Drop everything and let those who wait for room go on; idempotent."""
+        """Drop all samples and let writers that wait for room go on; idempotent."""
         with self.guard():
             if self.closed:
                 return
@@ -426,13 +427,13 @@ class Transport:
             self.end_all("disconnected")
 
     def suspend(self) -> None:
-        """Drop what is queued or waits, since the reader takes no more; the caller holds the lock."""
+        """Drop queued and waiting samples, since the reader takes no more; the caller holds the lock."""
         if self.offered:
             self.take_back()
         self.end_all("inactive")
 
     def end_all(self, reason: str) -> None:
-        """Drop what is queued or waits; the caller holds the lock."""
+        """Drop queued and waiting samples for `reason`, and let the writers go on; the caller holds the lock."""
         newest = self.held()
         self.discard_all(reason)
         waiting, self.waiting = self.waiting, None
@@ -459,8 +460,10 @@ class Transport:
     def wait_for_room(
         self, sample: Any, future: asyncio.Future[None] | None, *, patient: bool = False
     ) -> Waiting | None:
-        """Queue up for room, if `patient` also where a write displaces the oldest sample; None when there is room after
-        all (across threads) and the sample was taken."""
+        """Queue up for room; None: a thread has made room meanwhile, and the sample was taken.
+
+        With `patient` the write waits even where a full buffer would lose its oldest sample.
+        """
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.wait_for_room(sample, future, patient=patient)
@@ -474,7 +477,7 @@ class Transport:
         return None
 
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
-        """Queue up for room, which there is none of for certain; across threads the caller holds the lock."""
+        """Queue up for room at a buffer that is known to be full; across threads the caller holds the lock."""
         entry = Waiting(self.connector, sample, future)
         if self.waiting is None:
             self.waiting = OrderedDict()
@@ -488,22 +491,22 @@ class Transport:
 
     @at_current
     def give_up(self, entry: Waiting) -> bool:
-        """Stop waiting; False when the sample was moved in the meantime."""
+        """End the waiting of `entry`; False: the sample was moved in meanwhile."""
         left = not entry.done and self.leave_line(entry)
         if left and not self.waiting:
             self.connector.in_._fast = self.receiver.direct
         return left
 
     def leave_line(self, entry: Waiting) -> bool:
-        """Take a writer out of the line of those that wait; False: it is not in that line."""
+        """Remove an entry from `waiting`; False: it is not there."""
         if self.waiting is None or entry not in self.waiting:
             return False
         del self.waiting[entry]
         return True
 
     def admit_waiting(self) -> None:
-        """Move in the samples that wait, as far as there is room. A sample gets its number when it comes in, not when
-        it queues up: one whose writer gave up before was never written."""
+        """Move in the samples that wait, as far as there is room. A sample counts as written when it is moved in, not
+        when it queues up: a sample whose writer gave up was never written."""
         waiting = self.waiting
         if not waiting:
             return
@@ -517,7 +520,7 @@ class Transport:
         )
         if plain:
             while waiting and len(queue) < self.length:
-                # Written out: the writer and the reader of a full buffer do this once for each sample.
+                # `_admit_each` without its calls: with a full buffer this runs once for each sample.
                 entry, _ = waiting.popitem(False)
                 self.written += 1
                 queue.append(entry.sample)
@@ -539,7 +542,7 @@ class Transport:
             self.length = length
 
     def _admit_each(self, waiting: OrderedDict[Waiting, None]) -> None:
-        """Move in the samples that wait, as far as there is room; those that the push policy leaves out need none."""
+        """Move in the samples that wait, as far as there is room, and drop those that the push policy leaves out."""
         while waiting:
             sent = self.admits_next()
             if sent and len(self.queue) >= self.length:
@@ -554,7 +557,7 @@ class Transport:
             self.resolve(entry)
 
     def resolve(self, entry: Waiting) -> None:
-        """Let the writer go on; the caller holds the lock and calls `room_made`."""
+        """Let the writer of `entry` go on; the caller holds the lock and calls `room_made` afterwards."""
         entry.done = True
         if entry.future is None:
             return  # a thread: the caller's `room_made` wakes it
@@ -567,7 +570,7 @@ class Transport:
 
     @property
     def position(self) -> int:
-        """Samples written, with those that wait for room."""
+        """The number of samples written, including those that wait for room."""
         return self.total() + (len(self.waiting) if self.waiting else 0)
 
     @at_current
@@ -578,7 +581,7 @@ class Transport:
         return next(reversed(self.waiting)).sample if self.waiting else self.newest_here()
 
     def newest_here(self) -> Any:
-        """The newest sample that came in, read or unread; NOTHING if there was none."""
+        """The newest sample that was moved in, read or unread; NOTHING if there was none."""
         if self.queue:
             return self.queue[-1]
         receiver = self.receiver
@@ -587,17 +590,17 @@ class Transport:
         return self.last
 
     def lose(self, sample: Any) -> None:
-        """Note that this sample, which came in last or was to come in now, is lost here."""
+        """Note that `sample`, the newest here or the one just written, is lost here."""
         if not self.waiting and self.missed != self.position:
             self.miss(sample)
 
     def miss(self, sample: Any, coming: int = 0) -> None:
-        """Give the writer's last sample, lost here, to the out-port; `coming` samples are not counted yet."""
+        """Give the writer's last sample, lost here, to the out-port; `position` still lacks `coming` samples."""
         self.connector.out._saved = sample
         self.missed = self.position + coming
 
     def put_last(self, sample: Any) -> None:
-        """Take the sample that the writer wrote last, before this connector asked for it; the caller holds the lock."""
+        """Take the writer's last sample, offered by `keep_last`; the caller holds the lock."""
         self.written += 1
         self.offered += 1
         self.push_in(self.stamp_in(sample))
@@ -606,7 +609,7 @@ class Transport:
         """Send the newest waiting sample even against the push policy; the caller holds the lock."""
 
     def take_back(self) -> None:
-        """Take back the offered sample that is unread, if none was taken or lost; the caller holds the lock."""
+        """Undo `put_last`, unless a sample was read or lost since; the caller holds the lock."""
         if self.queue and self.total() == self.buffered:
             newest = self.held()
             self.queue.popleft()
@@ -622,13 +625,13 @@ class Transport:
         return self.receiver.lock or UNLOCKED
 
     def discard_all(self, reason: str) -> None:
-        """Count as dropped all that is buffered."""
+        """Drop all buffered samples for `reason`."""
         if self.queue:
             self.drop(reason, len(self.queue))
             self.queue.clear()
 
     def store(self, sample: Any) -> bool:
-        """Take a sample that the push policy sends, as the policies say; False when it was rejected."""
+        """Store a sample that the push policy sends; False: the full policy rejected it."""
         if self.push is _NEW and (displaced := len(self.queue)):  # several where other options were in force before
             self.drop_these("superseded", self.queue)
             self.queue.clear()
@@ -637,7 +640,7 @@ class Transport:
         return self.store_bounded(sample)
 
     def store_bounded(self, sample: Any) -> bool:
-        """Take a sample as the full policy says; False when it was rejected."""
+        """Store a sample as the full policy says; False: the sample was rejected."""
         verdict = decide(len(self.queue), self.length, self.connector.profile.full)
         if verdict is _REFUSE:
             self.drop("rejected")
@@ -647,7 +650,7 @@ class Transport:
             self.drop("inactive")
             self.miss(sample)
             return True
-        # Else the options changed since `must_wait` was False, in the loop's thread: it is stored, nothing is lost.
+        # `_WAIT` here: the loop has changed the options since `must_wait` was False. The sample is stored all the same.
         replaces = verdict is _REPLACE_OLDEST
         if replaces:
             self.queue.popleft()
@@ -673,7 +676,7 @@ class Transport:
         return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock.time_ns())
 
     def push_in(self, sample: Any, *, displaced: int = 0) -> None:
-        """Append; `displaced` is how many of the oldest samples of this connector made room for it."""
+        """Append the sample to the queue; `displaced` of the connector's oldest samples were removed for it."""
         if self.times is None:
             self.queue.append(sample)
             self.receiver.arrived(self, displaced)
@@ -684,7 +687,7 @@ class Transport:
         self.times.add(began_ns, self.clock.monotonic_ns())
 
     def on_loop(self, callback: Callable[[Any], object]) -> None:
-        """Call `callback` with the transport that the connector then has, on the loop: now if this is its thread."""
+        """Call `callback` on the loop, now if this is its thread, with the transport that the connector has by then."""
         connector = self.connector
         connector.out._on_loop(lambda: callback(connector._transport))
 

@@ -16,14 +16,14 @@ T = TypeVar("T")
 
 
 class Looking(asyncio.Future[None]):
-    """The future of a task that waits for a sample and takes none: no sample can be handed to it."""
+    """The future of a task that waits for a sample without taking it: a writer hands no sample to such a task."""
 
 
 async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[InPort[Any], ...]:
     """The ports with unread data, in the order of the arguments; waits for a sample while no port has one.
 
-    Nothing is taken. `timeout` is in seconds of the kernel's clock; 0 looks once, None waits forever. A cancelled wait
-    leaves nothing behind.
+    No sample is taken. `timeout` is in seconds of the kernel's clock; 0 checks once, None waits forever. A cancelled
+    wait changes nothing.
 
     Raises:
         ReadTimeout: no sample arrived in time.
@@ -43,7 +43,7 @@ async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[I
 async def wait_until(
     ports: tuple[InPort[Any], ...], look: Callable[[], T | None], where: str, missing: str, timeout: float | None
 ) -> T:
-    """The first result of `look` that is not None: it is called at once and whenever a sample comes to a port.
+    """The first result of `look` that is not None; `look` is called at once and whenever a sample comes to a port.
 
     `where` and `missing` are for messages. For the rest see `wait_any`.
     """
@@ -84,7 +84,7 @@ async def wait_until(
 
 
 async def _first(ports: tuple[InPort[Any], ...], waiter: asyncio.Future[None]) -> None:
-    """Wait until one of the ports has a sample or is removed, or `waiter` is done some other way."""
+    """Return at once if a port has a sample; else wait until one gets a sample or is removed, or `waiter` is done."""
     try:
         there = False
         for port in ports:
@@ -105,7 +105,7 @@ def _gave_up(ports: tuple[InPort[Any], ...]) -> None:
 
 
 def _checked(ports: tuple[object, ...]) -> tuple[InPort[Any], ...]:
-    """The ports, each once."""
+    """The ports, checked and without repetition."""
     found: dict[InPort[Any], None] = {}
     for port in ports:
         if not isinstance(port, InPort):

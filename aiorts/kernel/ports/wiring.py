@@ -80,7 +80,7 @@ def plan(
 
 
 def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> Connector:
-    """Make the connector and put it in force."""
+    """Make the connector and add it to both ports."""
     hosts = [host for host in (out._host, in_._host) if host is not None]
     if any(host.locked for host in hosts):
         in_._make_locked()
@@ -92,7 +92,7 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     connector._transport = PLAIN.of(profile)(connector, receiver, kernel)
     receiver.fit(connector._transport)
     several = receiver.tokens is not None
-    # The kernel's own thread number: each call of `get_ident` makes another object, of 32 bytes.
+    # The kernel's number object is shared: each call of `get_ident` makes a new object of 32 bytes.
     receiver.thread = kernel.thread_id or get_ident()
     alone = (connector,)  # one object for both ends, where neither has another
     before = in_.connectors  # without those of services, which come last
@@ -111,7 +111,7 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
 
 
 def unwire(connector: Connector) -> None:
-    """Take the connector out of force: what is queued in it is dropped, writers that wait go on."""
+    """Remove the connector from both ports: its queued samples are dropped, writers that wait go on."""
     out, in_ = connector.out, connector.in_
     if not connector.parked:
         out._connectors = _without(out._connectors, connector)
@@ -132,7 +132,7 @@ def unwire(connector: Connector) -> None:
 
 
 def park(connector: Connector) -> None:
-    """Stop all writes to a connector; unread samples can be read, and writers that wait for room are let in."""
+    """Stop all writes to a connector; unread samples can be read, and samples that wait for room are moved in."""
     out, in_, transport = connector.out, connector.in_, connector._transport
     with transport.guard():
         transport.admit_all()
@@ -144,7 +144,7 @@ def park(connector: Connector) -> None:
 
 
 def unpark(connector: Connector) -> None:
-    """Put a parked connector in force again."""
+    """End the parking of a connector: samples are written to it again."""
     out, in_ = connector.out, connector.in_
     with connector._transport.guard():
         in_._connectors = _after(in_.connectors, connector, _without(in_._connectors, connector))
@@ -155,7 +155,7 @@ def unpark(connector: Connector) -> None:
 
 
 def arrange(port: Port[Any], connectors: Sequence[Connector]) -> None:
-    """Put the connectors of a data port in this order; others come behind them."""
+    """Put these connectors of a data port in this order; the port's other connectors follow."""
     shown = port.connectors
     line = tuple(ordered(shown, connectors))
     if line == shown:
@@ -170,7 +170,7 @@ def arrange(port: Port[Any], connectors: Sequence[Connector]) -> None:
 
 
 def renewed_profile(connector: Connector, options: Mapping[str, Any]) -> ConnectorProfile:
-    """The options that a connector is to have instead of its own, checked as for a new one.
+    """The profile of a connector with other options, checked as for a new connector.
 
     Raises:
         WiringError: says what does not go together and why.
@@ -187,7 +187,7 @@ def renewed_profile(connector: Connector, options: Mapping[str, Any]) -> Connect
 
 
 def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -> None:
-    """Put other options in force, whatever they are: waiting and unread samples go over, in order.
+    """Give the connector any other options; unread samples and those that wait for room are kept, in order.
 
     No real-time thread is at the connector.
     """
@@ -216,7 +216,7 @@ def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -
 
 
 def keep_newest(transport: Transport) -> None:
-    """Supersede all unread samples but the newest, where only that one counts; the caller holds the lock."""
+    """Drop unread samples but the newest as superseded, if the reader gets only that; the caller holds the lock."""
     queue, periodic = transport.queue, transport.connector.profile.subscription is Subscription.PERIODIC
     if len(queue) > 1 and transport.push is Push.NEW and not periodic:
         newest = queue.pop()
@@ -227,7 +227,7 @@ def keep_newest(transport: Transport) -> None:
 
 
 def measure(connector: Connector, count: int) -> None:
-    """Time the last `count` sends and reads from now on, 0 none; unread samples stay, and waiting tasks wait on.
+    """Keep the times of the last `count` sends and reads from now on, 0: none; unread samples and waiting tasks stay.
 
     No real-time thread is at the connector.
     """
@@ -242,19 +242,19 @@ def measure(connector: Connector, count: int) -> None:
 
 
 def _refresh_writers(out: OutPort[Any], receiver: Receiver, several: bool) -> None:
-    """Choose the paths of writes again: they depend on the port's connectors, and on whether its reader has others."""
+    """Have write paths chosen again: of `out`, and of all its reader's writers if the reader's order changed."""
     out._refresh()
     if several is (receiver.tokens is None):
         receiver.refresh_writers()
 
 
 def _after(shown: tuple[Connector, ...], one: Connector, those: tuple[Connector, ...]) -> tuple[Connector, ...]:
-    """The connectors with `one` behind those that are shown, before those that are not."""
+    """The connectors `those` with `one` put behind those that are shown and before the hidden ones."""
     return (*shown, one, *those[len(shown) :])
 
 
 def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:
-    """The connectors without `one`, mostly the first or the last: ten thousand end in their order, or in reverse."""
+    """The connectors without `one`, mostly the first or the last: many connectors end in order, or in reverse order."""
     if those[-1] == one:
         return those[:-1]
     index = those.index(one)
@@ -273,7 +273,7 @@ def _check_alive(kernel: KernelSide, port: Port[Any]) -> None:
 
 
 def _connected(out: OutPort[Any], in_: InPort[Any]) -> bool:
-    # The shorter side is searched: the other may have a thousand.
+    # The side with fewer connectors is searched: the other may have a thousand.
     if len(out.connectors) <= len(in_.connectors):
         return any(connector.in_ is in_ for connector in out.connectors)
     return any(connector.out is out for connector in in_.connectors)
@@ -285,14 +285,14 @@ def _check_pair(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) 
 
 
 def _between(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> ConnectorProfile:
-    """The options of one connector, with a converter for its two types where they name one."""
+    """The options of a connector; a converter that they name is fitted to the two types, and `far_end` is set."""
     if profile.convert is not None:
         profile = replace(profile, convert=converter_between(out, in_, profile.convert))
     return _ended(out, in_, profile)
 
 
 def _ended(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> ConnectorProfile:
-    """The options of one connector, with the end that is in another kernel."""
+    """The options of a connector, with `far_end` set to the end that is in another kernel, if any."""
     if not (out.is_far or in_.is_far):
         return profile
     return replace(profile, far_end="reader" if in_.is_far else "writer")
@@ -302,7 +302,7 @@ def converter_between(out: OutPort[Any], in_: InPort[Any], converter: str) -> st
     """The converter for a connector of these two ports.
 
     Raises:
-        WiringError: it does not fit between them.
+        WiringError: the converter does not fit between the two types.
     """
     try:
         return cast("Converter", converter).between(out.type, in_.type)
@@ -311,7 +311,7 @@ def converter_between(out: OutPort[Any], in_: InPort[Any], converter: str) -> st
 
 
 def pair_faults(out: OutPort[Any], in_: InPort[Any], *, converted: bool = False) -> Iterator[str]:
-    """The reasons why one port cannot take samples of the other; none where they fit or are converted."""
+    """The reasons why `in_` cannot take the samples of `out`; none if they fit or are converted."""
     if converted:
         return
     where = f"{out.path} -> {in_.path}"
@@ -339,7 +339,7 @@ def pair_faults(out: OutPort[Any], in_: InPort[Any], *, converted: bool = False)
 
 
 def _unlike_units(out: OutPort[Any], in_: InPort[Any]) -> Iterator[tuple[str, str, str]]:
-    """The fields to which the two ports give different units, with these; "" for the data as a whole."""
+    """Each field to which the two ports give different units, with both units; "" is the data as a whole."""
     from aiorts.types.structure import sole_unit, units_of
 
     sent, taken = out.unit or sole_unit(out.type), in_.unit or sole_unit(in_.type)
@@ -372,7 +372,7 @@ def _check_stamp(profile: ConnectorProfile, pairs: Sequence[tuple[OutPort[Any], 
 
 
 def check_features(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> None:
-    """Raise WiringError when a real-time thread would be at an in-port with a connector that has features."""
+    """Raise WiringError when a real-time thread would use an in-port with an option that such a thread cannot have."""
     found = _kept_from_threads(profile)
     reached = [in_._host, *(connector.out._host for connector in in_._connectors)] if found else [in_._host]
     threads = [host.name for host in (out._host, *reached) if host is not None and host.prepare is not None]
@@ -384,7 +384,7 @@ def check_features(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfil
 
 
 def realtime_fault(port: Port[Any]) -> str:
-    """The reason why no real-time thread can have this port; empty where one can."""
+    """The reason why no real-time thread can use this port; "" if a real-time thread can."""
     return next(filter(None, (_featured(in_) for in_ in in_ports_at(port))), "")
 
 
@@ -396,14 +396,14 @@ def _featured(in_: InPort[Any], *more: ConnectorProfile) -> str:
 
 
 def _kept_from_threads(profile: ConnectorProfile) -> list[str]:
-    """The options of a connector that no real-time thread has at its ports."""
+    """The options of a connector with which no real-time thread may use it."""
     return [feature.key for feature in features_of(profile) if not feature.lock_free] + [
         "keep_last"
     ] * profile.keep_last
 
 
 def check_limit(port: Port[Any], more: int, limits: PortLimits) -> None:
-    """Raise WiringError where a port takes no more connectors."""
+    """Raise WiringError if a port cannot take `more` connectors, by its own limit or these limits."""
     fan = limits.fan_out if isinstance(port, OutPort) else limits.fan_in
     limit = limits.connection_limit
     candidates = [fan, limit if limit is not None and limit >= 0 else None, port.max_connectors]
