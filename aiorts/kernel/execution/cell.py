@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from aiorts.model.lifecycle import LifecycleState
 
 ATTRIBUTE: Final = "_rt"
-"""The attribute of a component that belongs to the kernel."""
+"""The name of the component's attribute that holds its cell."""
 _NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
 
 
@@ -115,14 +115,14 @@ class KernelSide(PortKernelSide, Protocol):
         """Raise ThreadError unless this is the thread of the kernel's loop."""
 
     def check_mine(self, component: Any, what: str) -> None:
-        """Raise StateError unless it is a component of this kernel."""
+        """Raise StateError unless `component` belongs to this kernel."""
 
     def monitor_deadlines(self, context: Context) -> DeadlineTimer | None: ...
 
     """The monitor that finds out why a context is late."""
 
     def call_on_loop(self, callback: Callable[[], object]) -> None:
-        """Call on the loop: now if this is its thread, soon otherwise."""
+        """Call `callback` on the loop: now if this is the loop's thread, soon otherwise."""
 
     def call_from_thread(self, function: Any, /, *args: Any, timeout: float | None = None) -> Any:
         """Call on the loop and block this thread until it is done."""
@@ -153,16 +153,16 @@ class Cell(PortHost):
 
     last_error: BaseException | None = None
     mended: BaseException | None = None
-    """The last error, once it was reset or activated after it."""
+    """The last error, once the component was reset or activated after that error."""
     abandoned: BaseException | None = None
-    """Why it never runs again: a hook ignored every cancellation and still runs."""
+    """The error because of which the component never runs again: a hook ignored every cancellation and still runs."""
     failed_in: tuple[Member, str] | None = None
-    """The hook whose failure is being logged."""
+    """The member and the hook whose failure is being logged."""
     log: ComponentLog | None = None
     deadlines: Mapping[str, float] | None = None
     """Seconds that single hooks may take."""
     group: Group | None = None
-    """The group that it is a member of."""
+    """The group that the component is a member of."""
     stands_for: Group | None = None
     """The group that the component stands for, if it does."""
     held_for: str = ""
@@ -174,20 +174,20 @@ class Cell(PortHost):
     port_group: Mapping[str, Port[Any]] = _NOTHING
     """The ports that its `ports_for` returned."""
     port_maker: Any = None
-    """While it is made to take another one's place: what makes its ports."""
+    """The maker of the component's ports, while the component is made to replace another; else None."""
     successor: Any = None
-    """The instance that has its place now, while that is not final: requests to this one go to that."""
+    """The instance that replaces this one for the time being: requests to this instance go to the successor."""
     held_open: bool = False
-    """Whether its in-ports take samples wherever it is: it is on its way to another place, and nothing is dropped."""
+    """Whether the in-ports take samples in every state: the component is being moved, and no sample may be dropped."""
     removals: int = 0
-    """How often its removal was asked for."""
+    """How often the removal of the component was requested."""
     changes_queued: int = 0
-    """Changes of its parameters that wait for the end of a cycle."""
+    """The number of changes of parameters that wait for the end of a cycle."""
 
     def __init__(self, name: str, named: bool, hook_kinds: dict[str, int], configuration: ConfigurationState) -> None:
         super().__init__(name, Turns())
         self.named = named
-        """Whether the user named it, not the kernel."""
+        """Whether the user, not the kernel, named the component."""
         self.hook_kinds = hook_kinds
         """How each hook is to be run: a `HookKind` by the hook's name."""
         self.configuration = configuration
@@ -203,12 +203,12 @@ class Cell(PortHost):
         """The member whose hook runs now, or the call that is served."""
         lock = self.entry_lock
         if lock.inside is None and not lock.shared and self.members:
-            # In one context its hooks may pass by the lock.
+            # The hooks of a component in one context may run without taking the lock.
             return self.members[0] if self.members[0].runs else None
         return cast("Member | Visit | None", lock.inside)
 
     def rename(self, name: str) -> None:
-        """It has this name from now on; only before it belongs to a kernel."""
+        """Give the component another name; only before it belongs to a kernel."""
         self.name = name
         self.named = True
 
@@ -277,7 +277,7 @@ def log_fields(component: ComponentSide) -> LogFields:
 
 
 class Group(Protocol):
-    """A component that stands for others, as the kernel sees it."""
+    """A component that stands for others (a composite), as the kernel sees it."""
 
     @property
     def name(self) -> str: ...
@@ -287,12 +287,12 @@ class Group(Protocol):
     @property
     def root(self) -> Group: ...
 
-    """The outermost group it runs with."""
+    """The outermost group that this group runs with."""
 
     @property
     def holds(self) -> bool: ...
 
-    """Whether its members run with it, or are about to; else they may run where they like."""
+    """Whether the members run with the group, or are about to; else each may run in any context."""
 
     @staticmethod
     async def start(
@@ -311,43 +311,43 @@ class Group(Protocol):
     @property
     def parts(self) -> tuple[ComponentSide, ...]: ...
 
-    """The members that run in its place, in order of execution."""
+    """The members that run in place of the group, in order of execution."""
 
     def check_startable(self) -> None:
-        """Raise StateError when it runs already."""
+        """Raise StateError when the group runs already."""
 
     def runs_apart(self, member: Any) -> bool: ...
 
-    """Whether this member of it is a group with a schedule of its own."""
+    """Whether this member is a group with a schedule of its own."""
 
     @property
     def is_spread(self) -> bool: ...
 
-    """Whether each member has a schedule of its own, so that it is in no context itself."""
+    """Whether each member has a schedule of its own, so that the group itself is in no context."""
 
     async def request(self, what: str, timeout: float | None) -> None:
         """Activate, deactivate or reset all members."""
 
     async def added(self) -> None:
-        """It is being added to the kernel."""
+        """Note that the group is being added to the kernel."""
 
     async def dissolve(self) -> None:
-        """It is about to leave the kernel: its members go back where they were."""
+        """Put the members back where they ran before: the group is about to leave the kernel."""
 
     def removed(self) -> None:
-        """It has left the kernel."""
+        """Note that the group has left the kernel."""
 
     def member_removed(self, member: Any) -> None:
-        """A member of it has left the kernel."""
+        """Note that a member has left the kernel."""
 
     def check_context(self, component: Any, context: Context) -> None:
-        """Raise StateError when a member of it cannot run in this context."""
+        """Raise StateError when `component`, a member, cannot run in this context."""
 
     def member_entered(self, member: Member) -> None:
-        """A member has another state; in the thread of its context."""
+        """Note that a member has entered another state; called in the thread of its context."""
 
     def member_replaced(self, old: Any, new: Any) -> None:
-        """Another instance has a member's place."""
+        """Note that the instance `new` has replaced the member `old`."""
 
     def check_ports(self) -> None:
         """Raise WiringError when the group cannot show the ports that its members have now."""
@@ -356,11 +356,11 @@ class Group(Protocol):
         """Raise WiringError when the group cannot show a port that a member has got."""
 
     def ports_changed(self) -> None:
-        """A member has other ports."""
+        """Note that a member has other ports."""
 
 
 def as_group(component: ComponentSide) -> Group | None:
-    """The group that the component stands for; None where it stands for itself alone."""
+    """The group that the component stands for; None: the component stands only for itself."""
     return cell(component).stands_for
 
 
@@ -379,7 +379,7 @@ def flattened(components: Sequence[ComponentSide]) -> tuple[ComponentSide, ...]:
 
 
 def check_free(components: Sequence[ComponentSide], what: str) -> None:
-    """Raise StateError when one is a member of a composite, which alone says where it runs."""
+    """Raise StateError when a component is a member of a composite: only the composite decides where members run."""
     for component in components:
         outer = cell(component).group
         if outer is not None and outer.holds and not outer.runs_apart(component):

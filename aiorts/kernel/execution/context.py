@@ -74,7 +74,7 @@ class Context:
     _divided: PassSteps | None = None
     """How a pass goes over the members where some run side by side."""
     _faults = 0
-    """Faults of the kernel's own, about no member, that it went on after."""
+    """The number of faults in the kernel's own code, about no member, after which the context went on."""
     _ended_by: BaseException | None = None
     """The error that ends the context."""
 
@@ -88,7 +88,7 @@ class Context:
         self._kernel: KernelSide | None = None
         self._members: list[Member] = []
         self._updating = 0
-        """How many members the second pass of a cycle is for."""
+        """The number of members that take part in the second pass of a cycle."""
         self._actions: deque[Action] | None = None
         """The actions to carry out between cycles; None when there are none. `Life.next_action` takes them."""
         self.runner = Runner(self, named=bool(name))
@@ -244,41 +244,41 @@ class Context:
     # -- for the kinds of context ----------------------------------------------------------------------------------
 
     def _next_cause(self) -> Wait | None:
-        """None when a cycle is due, else what to wait for."""
+        """The wait until the next cycle; None: a cycle is due now."""
         raise NotImplementedError
 
     def _alone(self) -> Member | None:
-        """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; as `Life` would, sooner."""
+        """Begin the cycle and return its member, if one `on_execute` is all there is to run; None: `Life` begins it."""
         return None
 
     def _begin_cycle(self) -> Sequence[Member]:
-        """A cycle begins now: who takes part in it."""
+        """Begin a cycle and return the members that take part."""
         return tuple(self._members)
 
     def _unread_by(self, member: Member) -> int:
-        """The number of unread samples that a member runs for before it ends."""
+        """The number of unread samples that a member still has to read before it ends."""
         return 0
 
     def _begin_last_cycle(self, member: Member) -> bool:
-        """Begin one more cycle of a member that is about to end, for what it has to read; False: there is nothing."""
+        """Begin another cycle of a member that is about to end and has unread samples; False: it has none."""
         return False
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
-        """The cycle is over."""
+        """Note that the cycle of these members is over."""
 
     def _life_began(self) -> None:
-        """Every `on_startup` has run."""
+        """Note that every `on_startup` has run."""
         self.runner.began()
 
     def _life_ended(self, error: BaseException | None) -> None:
-        """The last step was carried out, or the kernel's own code failed."""
+        """Note that the last step was carried out, or that the kernel's own code failed with `error`."""
         self.runner.ended(error)
 
     def _request_came(self) -> None:
-        """There is something to do between two cycles. From any thread."""
+        """Wake the context for an action between two cycles. From any thread."""
 
     def _member_aborted(self, member: Member) -> None:
-        """A member is in error now."""
+        """Note that a member is in error now."""
 
     def _set_rate_now(self, rate: float) -> None:
         raise StateError(f"{self.name}: a context of kind {self.kind} has no rate")
@@ -309,7 +309,7 @@ class Context:
         return TaskDriver(self, self.runner.life.steps(), kernel.loop, kernel.call_at, kernel._call_later, kernel.bus)
 
     def _overdue(self, member: Member) -> OverdueHook | None:
-        """The hook of a member that runs now, where it is over its deadline."""
+        """The member's running hook, if it has exceeded its deadline; else None."""
         held = None if self.runner.driver is None else self.runner.driver.held_by(member)
         if held is None:
             return None
@@ -324,19 +324,19 @@ class Context:
         return member
 
     def _port_added(self, member: Member, port: Port[object]) -> None:
-        """A member has another port; it is open when the component is."""
+        """Note a new port of a member; an in-port opens if the component takes samples (`is_open`)."""
         if isinstance(port, InPort):
             member.in_ports.append(port)
             takes = is_open(member.component)
             set_open(port, takes)
 
     def _port_removed(self, member: Member, port: Port[object]) -> None:
-        """A member lost a port, or the port lost its member."""
+        """Remove a port from the in-ports of a member."""
         if isinstance(port, InPort) and port in member.in_ports:
             member.in_ports.remove(port)
 
     def _set_ports_open(self, member: Member) -> None:
-        """In-ports take samples while the component is active somewhere, or is in no context at all."""
+        """Open the in-ports if the component is active in a context, or is in no context; else close them."""
         takes = is_open(member.component)
         for port in member.component.ports.values():
             if isinstance(port, InPort):

@@ -81,7 +81,7 @@ class OwnStep:
     """A step that carries itself out, so that a room above adds one without the driver knowing it."""
 
     async def carry_out(self, driver: TaskDriver) -> None:
-        """Do it; in the driver's task. Over when this returns."""
+        """Carry out the step, in the driver's task; the step is over when this returns."""
         raise NotImplementedError
 
 
@@ -96,7 +96,7 @@ _REQUEST = _WaitForRequest()
 
 
 class Turn:
-    """Let everything else run once."""
+    """Let everything else that is ready run once."""
 
 
 TURN = Turn()
@@ -104,7 +104,7 @@ Step: TypeAlias = Call | Batch | Wait | Turn | OwnStep
 Done: TypeAlias = Callable[[BaseException | None], None]
 Steps: TypeAlias = Generator[Step, "BaseException | None", None]
 PassSteps: TypeAlias = "Callable[[Sequence[Member], Callable[[Member], str]], Steps]"
-"""Gives the steps that run one hook of each of these members; the second argument chooses it at the member's turn."""
+"""A function that gives the steps of a pass over these members; its second argument chooses each member's hook."""
 Request: TypeAlias = tuple[str, Callable[[Done], Steps]]
 """A request to a context: its text for messages, and the steps that carry it out."""
 
@@ -113,7 +113,7 @@ class Driver(Protocol):
     """The driver that carries out the steps: a task on the loop (`task_driver.py`) or a thread. It decides nothing."""
 
     hooks_run: int
-    """Together with the context's ticks and the current member it changes with each hook."""
+    """A count; together with the context's ticks and the current member it identifies the run of a hook."""
 
     @property
     def ended(self) -> asyncio.Future[None]:
@@ -126,19 +126,19 @@ class Driver(Protocol):
         ...
 
     def held_by(self, member: Member) -> tuple[int, float] | None:
-        """When the hook of this member that runs now began, on the kernel's clock, and the seconds that it may take."""
+        """When the member's running hook began, on the kernel's clock, and the seconds that it may take; else None."""
         ...
 
     def update_fast_path(self) -> None:
-        """Observers of hooks came or went."""
+        """Choose the path of hooks again: observers of hooks came or went."""
         ...
 
     def update_for_sharing(self) -> None:
-        """The component whose hook runs now is in a second context from now on."""
+        """Note that the component whose hook runs now is in a second context from now on."""
         ...
 
     def limit_anew(self, member: Member) -> None:
-        """The component of this member has other deadlines, the hook of it that runs now included."""
+        """Apply changed deadlines of this member's component, also to its running hook."""
         ...
 
     def kick(self) -> None:
@@ -146,7 +146,7 @@ class Driver(Protocol):
         ...
 
     def hurry(self, budget: StopBudget) -> None:
-        """A stop began: hooks are limited from now on, the one that runs included."""
+        """Limit hooks by the budget of a stop from now on, the running hook included."""
         ...
 
     def after(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
@@ -154,13 +154,13 @@ class Driver(Protocol):
         ...
 
     def give_up_blocking(self, members: Sequence[Member]) -> None:
-        """These members are about to end: a hook that waits for data, or blocks its thread, gives up."""
+        """Make hooks of these members that wait for data, or block their thread, give up: the members end soon."""
         ...
 
 
 @dataclass(slots=True)
 class Action:
-    """Something to be done between two cycles; `done` gets its error or None, also when it will never be done."""
+    """Steps for the time between two cycles; `done` is called with their error or None, also if they never run."""
 
     steps: Callable[[], Steps]
     done: Done | None = None
@@ -176,7 +176,7 @@ class Pause:
         self.over = False
 
     def begin(self) -> None:
-        """The cycle that ran is over. From any thread."""
+        """Resolve `begun`: the cycle that ran is over. From any thread."""
         self._kernel.call_on_loop(lambda: None if self.begun.done() else self.begun.set_result(None))
 
     def resume(self) -> None:
@@ -245,7 +245,7 @@ class Life:
         yield from self._end()
 
     def _side_by_side(self) -> Steps:
-        """The cycles, as long as there are groups that run side by side: they come with an action, or were there."""
+        """Run the cycles as long as some groups run side by side (`_divided`)."""
         context, worked = self._context, False
         kernel = context.runner.kernel
         while (way := context._divided) is not None and not context._stopping:
@@ -271,7 +271,7 @@ class Life:
                 worked = True
 
     def rest(self) -> Steps:
-        """With the next cycle due already: let others get on, the end of the kernel included."""
+        """Give other tasks, such as the end of the kernel, some turns although the next cycle is due."""
         for _ in range(_TURNS):
             if self._context._stopping or self._context._actions:
                 return
@@ -280,11 +280,11 @@ class Life:
     # -- faults of the kernel's own ----------------------------------------------------------------------------------
 
     def act(self, action: Action) -> Steps:
-        """Do what is to be done between two cycles."""
+        """The steps of an action between two cycles; a fault in them is contained."""
         return self._contained(action.steps(), None, action.done)
 
     def _contained(self, steps: Steps, member: Member | None, done: Done | None = None) -> Steps:
-        """Contain a fault of these steps; the caller that waits for them gets it."""
+        """Run these steps and contain a fault in them; `done` gets the fault."""
         try:
             yield from steps
         except GeneratorExit:
@@ -295,7 +295,7 @@ class Life:
                 done(error)
 
     def faulted(self, fault: BaseException, member: Member | None = None, then: str = "it goes on") -> BaseException:
-        """The kernel's own code raised, while it was about this member: say so; the error to go on with."""
+        """Log a fault of the kernel's own code, which may concern a member, and return the error to go on with."""
         kernel = self._context.runner.kernel
         if issubclass(type(fault), KeyboardInterrupt) and not kernel._contain_interrupts:
             kernel.pass_on_interrupt(fault)  # it struck here by chance
@@ -307,7 +307,7 @@ class Life:
         return fault
 
     def anew(self, fault: BaseException) -> Steps | None:
-        """The kernel's own code raised between two steps: how it goes on with its members; None when it cannot."""
+        """The steps to go on with after a fault of the kernel's own code between two steps; None: there are none."""
         context = self._context
         context._faults += 1
         if context._faults <= _FAULTS and not context._stopping:

@@ -26,22 +26,22 @@ class Entrant(Protocol):
 
 
 class Sharer(Entrant, Protocol):
-    """A member that others may keep out from now on."""
+    """A member that has to wait while other code of its component runs."""
 
     @property
     def runs(self) -> bool:
-        """Whether a hook of it runs now."""
+        """Whether a hook of the member runs now."""
         ...
 
     def settle(self) -> None:
         """Update the fields that a cycle reads."""
 
     def update_for_sharing(self) -> None:
-        """Its hook, which runs now, is to let others in when it ends."""
+        """Have the member's running hook let others enter when it ends."""
 
 
 class EntryLock:
-    """The way into one component. On the kernel's loop only."""
+    """The lock that lets one entrant at a time into a component. On the kernel's loop only."""
 
     __slots__ = ("inside", "shared", "waiting")
 
@@ -59,7 +59,7 @@ class EntryLock:
         return self.inside is None and not self.waiting
 
     def share(self, members: Sequence[Sharer]) -> None:
-        """More than one may want to come in from now on; one of these members may have a hook running."""
+        """Let entrants take the lock from now on; if one of these members has a running hook, it is inside already."""
         if self.shared:
             return
         self.shared = True
@@ -70,7 +70,7 @@ class EntryLock:
                 member.update_for_sharing()
 
     async def wait(self, turn: asyncio.Future[bool]) -> bool:
-        """Wait for a turn and enter at once; False when `turn` was resolved so, as a deadline does."""
+        """Wait for a turn and enter at once; False: `turn` was resolved with False, as a deadline does."""
         if self.waiting is None:
             self.waiting = {}
         waiting = self.waiting
@@ -85,12 +85,12 @@ class EntryLock:
         return granted
 
     def pass_on(self) -> None:
-        """Let the first that waits enter, when no context is inside."""
+        """Let the first waiting entrant enter, if none is inside."""
         if self.inside is not None:
             return
         for turn in self.waiting or ():
             if turn.done():
-                # It was let in (or has given up and passes it on itself) and did not run yet.
+                # This entrant has its turn, or has given up and will pass the turn on, but did not run yet.
                 return
             turn.set_result(True)
             return

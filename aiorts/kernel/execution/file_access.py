@@ -59,7 +59,7 @@ _access: Final[contextvars.ContextVar[FileAccess | None]] = contextvars.ContextV
 
 @contextmanager
 def acting(access: FileAccess | None) -> Iterator[None]:
-    """Run what is inside for a client that may name these files; None: for the kernel."""
+    """Run the block on behalf of a client that may name these files; None: on behalf of the kernel."""
     token = _access.set(access)
     try:
         yield
@@ -68,7 +68,7 @@ def acting(access: FileAccess | None) -> Iterator[None]:
 
 
 def carried(change: Callable[[], T]) -> Callable[[], T]:
-    """The change, made for the client that the caller acts for, wherever it is carried out."""
+    """The change as a function that runs on behalf of the caller's client, wherever it is called."""
     access = _access.get()
     if access is None:
         return change
@@ -81,7 +81,7 @@ def carried(change: Callable[[], T]) -> Callable[[], T]:
 
 
 def own_context() -> contextvars.Context | None:
-    """The context of a task that acts for the kernel; None: the caller's will do."""
+    """The context variables for a task that acts for the kernel; None: the caller acts for the kernel itself."""
     if _access.get() is None:
         return None
     context = contextvars.copy_context()
@@ -100,8 +100,8 @@ def check_files(owner: str, new: ConfigurationState, before: ConfigurationState 
     """Raise DeniedError when a configuration names a file that the client whose call runs may not name.
 
     Args:
-        before: the configuration whose place it takes, whose files it may name again; None: the component is new.
-            Then the files that it writes by default count, too.
+        before: the former configuration, whose files `new` may name again; None: the component is new, and files
+            that it writes by default are checked, too.
     """
     access = _access.get()
     if access is None:

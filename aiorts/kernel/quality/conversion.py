@@ -32,7 +32,7 @@ _UNCONVERTED: Final = "unconverted"
 
 
 class _Conversion:
-    """The function of one connector, and what its samples must be."""
+    """The conversion of one connector: its function, and the check of the samples that the function makes."""
 
     __slots__ = ("connector", "debug", "failures", "function")
 
@@ -45,7 +45,7 @@ class _Conversion:
         self.debug = kernel.debug
 
     def of(self, sample: Any) -> Any:
-        """The reader's sample of the writer's; NOTHING where that fails, which is reported."""
+        """Make the reader's sample from the writer's; NOTHING: that failed, and the failure was reported."""
         try:
             made = self.function(sample)
         except BaseException as error:
@@ -81,7 +81,7 @@ class _Conversion:
 
 
 class _Writers(FeaturedTransport):
-    """The writers of converted samples: the buffer holds no sample of the writer, whose last one the out-port keeps."""
+    """The writer's side of converted samples: the out-port keeps the writer's last sample, since no buffer holds it."""
 
     __slots__ = ()
 
@@ -98,7 +98,7 @@ class _Writers(FeaturedTransport):
         return NOTHING
 
     def miss(self, sample: Any, coming: int = 0) -> None:
-        """It was kept when it was written."""
+        """Do nothing: the out-port has kept the sample since it was written."""
 
     def put_last(self, sample: Any) -> None:
         made = self.extra[_KEY].of(sample)

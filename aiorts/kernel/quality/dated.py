@@ -23,15 +23,15 @@ class Moments:
 
     def __init__(self, transport: Transport) -> None:
         self.now_ns: Callable[[], int] = transport.clock.monotonic_ns
-        # What came while a real-time thread was at the connector has no other moment.
+        # No time was kept for samples that came while a real-time thread used the connector: now stands for it.
         self.queue: deque[int] = deque(repeat(self.now_ns(), len(transport.queue)))
-        """The time of each sample in the reader's queue, and of those that have left it since the last look."""
+        """The time of each sample in the reader's queue; in front, times of samples that have left it since."""
         self.backlog: deque[int] = deque(repeat(self.now_ns(), transport.buffered - len(transport.queue)))
-        """The time of each sample in the backlog, likewise."""
+        """The time of each sample in the backlog; in front, times of samples that have left it since."""
         self.left_ns = 0
         """The time of the sample that left the backlog last."""
         self.given_ns: int | None = None
-        """The time of the next sample, where it was written in another kernel before; None: it is written now."""
+        """The time at which the next sample was written in another kernel; None: it is written here, now."""
 
 
 class Dated(FeaturedTransport):
@@ -48,7 +48,7 @@ class Dated(FeaturedTransport):
         return found
 
     def written_ns(self) -> int:
-        """When the sample was written that comes into the reader's queue now."""
+        """The time at which the sample now entering the reader's queue was written."""
         moments = self.moments
         return moments.now_ns() if moments.given_ns is None else moments.given_ns
 
@@ -97,7 +97,7 @@ class DatedPeriodic(Dated, PeriodicTransport):
 
 
 def times_of(times: deque[int], samples: deque[Any]) -> deque[int]:
-    """The times of just these samples: what has left went in front."""
+    """Remove, from the front of `times`, the times of samples that have left `samples`; return `times`."""
     while len(times) > len(samples):
         times.popleft()
     return times

@@ -27,7 +27,7 @@ _EXPIRED: Final = "expired"
 
 
 class _Life:
-    """How long samples may be read, and who looks for that."""
+    """The lifespan of a connector's samples, and the timer that drops expired ones."""
 
     __slots__ = ("call_at", "lifespan_ns", "timer")
 
@@ -35,7 +35,7 @@ class _Life:
         self.lifespan_ns = to_ns(lifespan)
         self.call_at = kernel.call_at
         self.timer: Any = None
-        """While a writer waits for room."""
+        """The timer, while a writer waits for room; else None."""
 
 
 class Expiring(Dated):
@@ -51,7 +51,7 @@ class Expiring(Dated):
 
     @property
     def life(self) -> _Life:
-        """How long samples may be read."""
+        """The lifespan of the samples, with its timer."""
         life: _Life = self.extra[_KEY]
         return life
 
@@ -69,7 +69,7 @@ class Expiring(Dated):
                     self.admit_waiting()
 
     def _expire(self) -> int:
-        """Drop what is too old in the reader's queue; how much that was."""
+        """Drop expired samples of the reader's queue; return how many."""
         moments, queue = self.moments, self.queue
         if not queue:
             return 0
@@ -148,13 +148,13 @@ class ExpiringPeriodic(Expiring, DatedPeriodic):
 
 
 def _look_again(transport: Any) -> None:
-    """The timer is over: the oldest sample has expired, or was taken meanwhile."""
+    """Drop expired samples and set the timer again: the oldest sample has expired, or was taken meanwhile."""
     transport.life.timer = None
     transport.settle()
     transport.tend()
 
 
 def _tend(transport: Any) -> None:
-    """On the loop, a moment after it was asked for: the connector may have got other options."""
+    """Set or end the timer, on the loop, unless the connector's samples do not expire any more."""
     if isinstance(transport, Expiring):
         transport.tend()

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 _LOG = KernelLog()
 _QUIET_NS: Final = 60_000_000_000
-"""In which the log has one gap of a connector; the next line counts the others."""
+"""The time within which only one gap of a connector is logged; the next line counts the others."""
 _NOTED: Final = (StateChanged, MemberAdded, MemberRemoved, ContextStarted, ContextStopped)
-"""After these another component may be active."""
+"""The events after which components may be active that were not before, or the reverse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +62,18 @@ class _Watch:
 
     def __init__(self, connector: Connector, gap_ns: int) -> None:
         self.connector = connector
-        # One more, so that a write at the very end of a gap is in time.
+        # One nanosecond more, so that a write at the very end of a gap is in time.
         self.gap_ns = gap_ns + 1
         self.active = self.silent = False
         self.seen = 0
-        """The number of samples written at the last look."""
+        """The number of samples written at the last check."""
         self.missed = self.unlogged = 0
         self.logged_ns: int | None = None
         self.timer: Any = None
 
     @property
     def written(self) -> int:
-        """The number of samples written so far, and of those that wait for room."""
+        """The number of samples written so far, including those that wait for room."""
         transport, out = transport_of(self.connector), self.connector.out
         held = out.held() if isinstance(out, FarOutPort) else 0
         return transport.total() + sum(not entry.done for entry in transport.waiting or ()) + held
@@ -87,10 +87,10 @@ class Gaps:
         self._watches: dict[Connector, _Watch] = {}
         self._removers: list[Callable[[], None]] = []
         self._awaited: set[OutPort[Any]] = set()
-        """The ports whose next write is waited for."""
+        """The out-ports of silent writers, whose next write is to be noticed."""
 
     def add(self, connector: Connector) -> None:
-        """Watch it, if it has `max_gap`."""
+        """Watch the connector, if it has `max_gap`."""
         if connector.profile.max_gap is None:
             return
         if not self._removers:
@@ -99,7 +99,7 @@ class Gaps:
         self._fit(watch)
 
     def end(self, connector: Connector) -> None:
-        """It has ended."""
+        """Stop watching a connector that has ended."""
         watch = self._watches.pop(connector, None)
         if watch is not None:
             self._pause(watch)
@@ -117,12 +117,12 @@ class Gaps:
         return statistics if watch is None else replace(statistics, missed_gaps=watch.missed, silent=watch.silent)
 
     def is_silent(self, connector: Connector) -> bool:
-        """Whether its writer is silent; from any thread, without counting anything."""
+        """Whether the connector's writer is silent; from any thread, without a check."""
         watch = self._watches.get(connector)
         return watch is not None and watch.silent
 
     def writes(self, out: OutPort[Any]) -> None:
-        """Note the first write at this port, in this thread, since it was refreshed."""
+        """Note, from any thread, the first write at an out-port since it was refreshed."""
         if out in self._awaited:
             self._awaited.discard(out)
             self._kernel.loop.call_soon_threadsafe(self._look_at, out)
@@ -135,7 +135,7 @@ class Gaps:
                 self._fit(watch)
 
     def _fit(self, watch: _Watch) -> None:
-        """Look while both ends are active, and only then."""
+        """Start checking if both ends are active, and pause otherwise."""
         active = self._is_active(watch.connector.out) and self._is_active(watch.connector.in_)
         if active and not watch.active:
             watch.active = True
@@ -149,7 +149,7 @@ class Gaps:
 
     def _is_active(self, port: Port[Any]) -> bool:
         if port.is_far:
-            # Of a link the end of the reader judges: it knows of what arrives, and not whether the writer is active.
+            # At a link only the reader's end checks: it sees what arrives, and takes the writer for active.
             return port.direction == "out"
         host = host_of(port)
         component = None if host is None or host.retired else self._kernel.components.get(host.name)
@@ -162,7 +162,7 @@ class Gaps:
             watch.timer = None
 
     def _go_on(self, watch: _Watch) -> None:
-        """Look after a gap; of who is silent, at the next write."""
+        """Check again after a gap or, if the writer is silent, at its next write."""
         if not watch.silent:
             self._set_timer(watch)
             return
@@ -178,7 +178,7 @@ class Gaps:
             watch.timer = self._kernel.call_at(now_ns + watch.gap_ns, lambda: self._look(watch))
 
     def _look(self, watch: _Watch) -> None:
-        """Compare what was written with what was seen before."""
+        """Check whether samples were written since the last check; publish an event if the writer's silence changed."""
         watch.timer = None
         written, before = watch.written, watch.seen
         watch.seen = written
@@ -189,7 +189,7 @@ class Gaps:
         self._go_on(watch)
 
     def _look_at(self, out: OutPort[Any]) -> None:
-        """A silent writer was about to write."""
+        """Check the connectors of an out-port whose silent writer was about to write."""
         for connector in out.connectors:
             watch = self._watches.get(connector)
             if watch is not None and watch.silent and watch.active:

@@ -25,12 +25,12 @@ _turns: Final = count()
 
 @dataclass(eq=False, slots=True)
 class _Offered(Waiting):
-    """A sample that its writer holds out to the reader, or, `done` already, one that was given to a read."""
+    """A sample whose write waits for the reader; `done`: its write waits no more, and the sample is still unread."""
 
     arrived_at: int = 0
-    """As `Transport.arrived_at`."""
+    """The sample's `Transport.arrived_at`."""
     turn: int = 0
-    """The place in the order of coming: an entry is found by it among thousands that give up at once."""
+    """The entry's number in the order of arrival, by which it is found fast among thousands that give up at once."""
 
 
 class Rendezvous(FeaturedTransport):
@@ -38,7 +38,7 @@ class Rendezvous(FeaturedTransport):
 
     __slots__ = ()
     waiting: Any
-    """A deque, or None: each stands where its sample stands in the queue, those that are done before the others."""
+    """A deque of entries in the order of their samples in the queue, `done` entries first; None before the first."""
 
     @property
     def buffered(self) -> int:
@@ -94,7 +94,7 @@ class Rendezvous(FeaturedTransport):
         return True
 
     def admit_waiting(self) -> None:
-        """Let the writers go on whose samples have left the queue."""
+        """Let the writers of samples that have left the queue go on."""
         waiting = self.waiting
         if not waiting:
             return
@@ -108,7 +108,7 @@ class Rendezvous(FeaturedTransport):
         self.receiver.room_made()
 
     def admit_all(self) -> None:
-        """Let the writers go on; their samples stay unread."""
+        """Let all waiting writers go on; their samples stay unread."""
         for entry in self.waiting or ():
             if not entry.done:
                 self.written += 1
@@ -120,7 +120,7 @@ class Rendezvous(FeaturedTransport):
         self.waiting = deque(_Offered(self.connector, sample, None, done=True) for sample in self.queue)
 
     def discard_all(self, reason: str) -> None:
-        """Discard nothing: a sample that waits is counted where its writer is let go on."""
+        """Empty the queue; count only `done` samples as dropped: others are counted when their writers go on."""
         waiting = self.waiting
         while waiting and waiting[0].done:
             waiting.popleft()

@@ -1,4 +1,4 @@
-"""Unread samples of a connector go over to another one, in order."""
+"""Moving unread samples from one connector to another, in order."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from aiorts.kernel.quality.dated import Dated
 
 
 def pass_on(connector: Connector, successor: Connector) -> int:
-    """Unread samples of a connector become unread in another one of the same in-port that is empty, at its place
-    in the order; the first loses it as dropped{moved}. Where only the newest counts there, older ones are superseded.
+    """Move a connector's unread samples to `successor`, an empty connector of the same in-port, in the same order.
 
-    Returns: how many went over.
+    `connector` counts them as dropped{moved}. If `successor` keeps only the newest, older ones are superseded.
+
+    Returns: how many were moved.
     """
     one, other = transport_of(connector), transport_of(successor)
     one.settle()
