@@ -46,7 +46,7 @@ def check_connection(out: OutPort[Any], in_: InPort[Any]) -> None:
 
 
 def check_apart(components: Sequence[Ported], others: Iterable[Ported], where: str) -> None:
-    """Raise StateError when a connector with `length = 0` joins one of `components` to another, or to one of `others`."""
+    """Raise StateError when a connector with `length = 0` joins one of `components` to another, or to `others`."""
     hosts: set[object] = set()
     for component in components:
         for connector in _rendezvous_of(component):

@@ -63,13 +63,13 @@ class HookTimer:
             self.timer = self.driver.call_at(self.begun_ns + to_ns(deadline), self._expire)
 
     def rearm(self) -> None:
-        """The hook that runs has another countdown from now on, a stop's or its own; once cancelling it goes on."""
+        """Give the running hook another countdown, a stop's or its own, unless its cancellation has begun."""
         if self.cancels == 0:
             self.disarm()
             self.arm()
 
     def disarm(self) -> None:
-        """The hook returned."""
+        """End the countdown."""
         if self.timer is not None:
             self.timer.cancel()
             self.timer = None
@@ -82,7 +82,7 @@ class HookTimer:
         return too_late(where, took_ns, self.limit)
 
     def cancelled(self, where: str, error: BaseException | None) -> BaseException | None:
-        """The error of a hook that this has cancelled and that ended with `error`, or returned."""
+        """The error of a hook that this timer cancelled and that then ended with `error`, or returned."""
         if error is None and self.stopping:
             return None
         if error is not None and not is_cancellation(error):

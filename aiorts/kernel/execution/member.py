@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from aiorts.model.lifecycle import OverdueHook
 
 _ABSENT: Final[tuple[int, Callable[..., Any]]] = (HookKind.ABSENT, lambda *_error: None)
-"""For every hook that the class does not define."""
+"""The kind and method of a hook that the class does not define."""
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _ACTIVE, _ERROR = LifecycleState.ACTIVE, LifecycleState.ERROR
@@ -41,7 +41,7 @@ class HookTimes:
         self.last_ns = 0
 
     def add(self, elapsed_ns: int) -> None:
-        """One more run."""
+        """Count a run that took `elapsed_ns`."""
         self.count += 1
         self.total_ns += elapsed_ns
         self.last_ns = elapsed_ns
@@ -93,15 +93,15 @@ class Member:
         self.execute: Callable[..., Any] | None = None
         """`on_execute` where nothing is unusual: it exists, the member is active, the component in no other context."""
         self.execute_times: HookTimes | None = None
-        """How long those runs took."""
+        """The times of `execute`."""
         self.updates = False
-        """Whether the second pass of a cycle is for it; see `settle_updates`."""
+        """Whether the member takes part in the second pass of a cycle; see `settle_updates`."""
         self.hook = "on_execute"
         """The hook that runs now, while one runs."""
         self.finishing = False
         self.started = False
         self.answers = False
-        """Whether it answers calls though it is not active: it was, until its kernel closed; ports are still open."""
+        """Whether the member answers calls though it is not active: it was active until its kernel began to close."""
         self.stopped_for: frozenset[str] = frozenset()
         """The components for whose error its composite deactivated it."""
         self.in_ports: list[InPort[Any]] = []
@@ -143,7 +143,7 @@ class Member:
 
     @property
     def left(self) -> bool:
-        """Whether it is no longer in the context."""
+        """Whether the member has left the context."""
         return self._left
 
     @left.setter
@@ -160,7 +160,7 @@ class Member:
                 self.execute = function
 
     def settle_updates(self) -> None:
-        """Update whether the second pass runs it: it has an `on_state_update`, or hooks have observers."""
+        """Update `updates`: true for a member with an `on_state_update`, or while hooks have observers."""
         wrote = self.cell.hook_kinds["on_state_update"] != HookKind.ABSENT
         updates = wrote or self.context.runner.kernel.bus.hooks_wanted
         self.context._updating += updates - self.updates
@@ -168,17 +168,17 @@ class Member:
 
     @property
     def where(self) -> str:
-        """In which context and hook, for messages."""
+        """The context and hook, for messages."""
         return f"{self.context.name}, in {self.hook}"
 
     @property
     def tick(self) -> int:
-        """The cycle of its context."""
+        """The number of its context's present cycle."""
         return self.context.ticks
 
     @property
     def active(self) -> bool:
-        """Whether it is executed: active and not about to go to error."""
+        """Whether the member is executed: active, and not about to go to error."""
         return self._state is _ACTIVE and self._failure is None and not self._abandoned
 
     @property
@@ -203,26 +203,26 @@ class Member:
 
     @property
     def runs(self) -> bool:
-        """Whether a hook of it runs now."""
+        """Whether a hook of the member runs now."""
         return self.context.runner.current is self
 
     def update_for_sharing(self) -> None:
-        """Its hook, which runs now, is to let others in when it ends."""
+        """Have the member's running hook let others enter when it ends."""
         if self.context.runner.driver is not None:
             self.context.runner.driver.update_for_sharing()
 
     def limit_anew(self) -> None:
-        """The component has other deadlines, for the hook of it that runs now, too."""
+        """Apply changed deadlines of the component, also to its running hook."""
         self.settle()
         if self.context.runner.driver is not None:
             self.context.runner.driver.limit_anew(self)
 
     def port_added(self, port: Port[Any]) -> None:
-        """The component has another port; it is open when the component is."""
+        """Note a new port of the component; an in-port opens if the component takes samples."""
         self.context._port_added(self, port)
 
     def port_removed(self, port: Port[Any]) -> None:
-        """The component lost a port."""
+        """Note that the component lost a port."""
         self.context._port_removed(self, port)
 
     def open_ports(self) -> None:
@@ -236,7 +236,7 @@ class Member:
             self.context.runner.finished(self)
 
     def timed(self, hook: str) -> HookTimes:
-        """The times of a hook, from the first run on."""
+        """The times of a hook, made at its first run."""
         times = self.times.get(hook)
         if times is None:
             times = self.times[hook] = HookTimes()
@@ -262,7 +262,7 @@ class Visit:
 
     @property
     def tick(self) -> int:
-        """A call belongs to no cycle."""
+        """0: a call belongs to no cycle."""
         return 0
 
     @property
@@ -298,7 +298,7 @@ def _raise(error: BaseException, *_args: Any) -> None:
 def is_open(component: ComponentSide) -> bool:
     """Whether a component's in-ports take samples: it is active somewhere, or in no context at all.
 
-    Once its kernel closes the second does not count: no reader would come, and writers with full = block would wait.
+    Once the kernel closes, ports of a component in no context are closed: else writers with full = block would wait.
     """
     here = cell(component)
     if here.held_open:

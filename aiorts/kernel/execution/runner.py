@@ -60,7 +60,7 @@ class Runner:
 
     @property
     def members(self) -> list[Member]:
-        """In order of execution."""
+        """The members, in order of execution."""
         return self._context._members
 
     @property
@@ -115,7 +115,7 @@ class Runner:
             raise StateError(f"{self._context.name}: runs in another kernel than {kernel.name}; stop it there")
 
     def new_member(self, component: ComponentSide) -> Member:
-        """The component as a member that is to join: nothing of it happens before."""
+        """Make a member for a component that is to join; the context does not change yet."""
         return self._context._new_member(component)
 
     def check_can_add(self, component: ComponentSide) -> None:
@@ -133,11 +133,11 @@ class Runner:
     # -- what others ask for -----------------------------------------------------------------------------------------
 
     def transition(self, member: Member, event: Event) -> Request:
-        """A lifecycle transition of one member."""
+        """The request for a lifecycle transition of a member."""
         return f"{event} {member.component.name}", partial(self.life.request, member, event)
 
     def joining(self, member: Member) -> Request:
-        """A component joins."""
+        """The request that a component joins."""
 
         def steps(done: Done) -> Steps:
             try:
@@ -151,11 +151,11 @@ class Runner:
         return f"add {member.component.name}", steps
 
     def leaving(self, member: Member) -> Request:
-        """A component leaves."""
+        """The request that a component leaves."""
         return f"remove {member.component.name}", partial(self.life.remove, member)
 
     def arranging(self, components: Sequence[ComponentSide]) -> Request:
-        """Components get this order, as `arrange` says."""
+        """The request that components get this order, as `arrange` says."""
 
         def steps(done: Done) -> Steps:
             self.arrange(components)
@@ -165,7 +165,7 @@ class Runner:
         return f"lay out the order of {self._context.name}", steps
 
     async def release(self, components: Sequence[ComponentSide], timeout: float | None = 5.0) -> None:
-        """Ask for these to leave, whatever they are members of."""
+        """Have these components leave the context, even members of a composite."""
         await self.ask([self.leaving(self.member(component)) for component in components], timeout)
 
     def submit(self, action: Action) -> None:
@@ -281,7 +281,7 @@ class Runner:
     # -- who takes part, between two cycles --------------------------------------------------------------------------
 
     def attach(self, member: Member) -> None:
-        """It takes part from now on; between two cycles."""
+        """Let a member take part from now on; between two cycles."""
         context, here = self._context, member.cell
         context._members.append(member)
         here.members.append(member)
@@ -294,12 +294,12 @@ class Runner:
         context._set_ports_open(member)
 
     def detach(self, member: Member) -> None:
-        """It takes part no more; between two cycles."""
+        """Let a member take part no more; between two cycles."""
         member.left = True
         context, here = self._context, member.cell
         if member in here.members:
             here.members.remove(member)
-            # Of ten thousand the last goes first when the context ends.
+            # A context that ends removes its members from the last to the first: the last is found at once.
             if context._members[-1] is member:
                 context._members.pop()
             else:
@@ -311,7 +311,7 @@ class Runner:
         context._set_ports_open(member)
 
     def divide(self, way: PassSteps | None) -> None:
-        """How a pass goes over the members of a cycle from the next one on; None: one member after the other.
+        """Set how a pass of later cycles goes over the members; None: one member after the other.
 
         Between two cycles only.
         """
@@ -319,7 +319,7 @@ class Runner:
             self._context._divided = way
 
     def arrange(self, components: Sequence[ComponentSide]) -> None:
-        """Lay out the order: these one after the other, where the first of them stands. Between two cycles only."""
+        """Put these components one after the other, at the place of the first of them. Between two cycles only."""
         place = {component: index for index, component in enumerate(components)}
         members = self._context._members
         mine = [member for member in members if member.component in place]
@@ -367,7 +367,7 @@ class Runner:
             one.result(context.name, timeout)
 
     def began(self) -> None:
-        """Every `on_startup` has run."""
+        """Note that every `on_startup` has run."""
         self.publish(ContextStarted(self._context.name))
         self.kernel.call_on_loop(self._report_began)
 
@@ -379,7 +379,7 @@ class Runner:
     async def pause(self, budget: StopBudget) -> Callable[[], None]:
         """Begin no cycle from now on, once the running one is over; what is to be done between two cycles is done.
 
-        Waits until it is over, no longer than a hook may take; returns what lets cycles begin again.
+        Wait for the running cycle no longer than a hook may take; return the function that lets cycles begin again.
         """
         driver = self.driver
         if driver is None:
@@ -414,14 +414,14 @@ class Runner:
             await asyncio.shield(driver.ended)
 
     def end_in_order(self) -> None:
-        """Stop a context whose own code, the kernel's, keeps failing."""
+        """Stop a context in which the kernel's own code keeps failing."""
         kernel, driver = self.kernel, self.driver
         self._context._stopping = True
         if driver is not None:
             kernel.call_on_loop(lambda: driver.hurry(StopBudget(kernel.loop)))
 
     def ended(self, error: BaseException | None) -> None:
-        """The last step was carried out, or the kernel's own code failed."""
+        """Note that the last step was carried out, or that the kernel's own code failed with `error`."""
         context, kernel = self._context, self.kernel
         error = context._ended_by if error is None else error
         context._last_hooks = context._hook_statistics()
@@ -437,7 +437,7 @@ class Runner:
         self.publish(ContextStopped(context.name, None if error is None else format_error(error)))
 
     def let_go(self) -> None:
-        """The context does not run: it has no members any more."""
+        """Remove all members: the context does not run."""
         for member in tuple(reversed(self._context._members)):
             guarded(f"{self._context.name}: could not let go of a member", self.detach, member)
 
@@ -462,7 +462,7 @@ async def _settled(kernel: KernelSide, futures: Sequence[asyncio.Future[Any]], t
 
 
 async def _first_of(budget: StopBudget, driver: Driver, done: asyncio.Future[Any]) -> None:
-    """Wait until it is done or the context has ended, no longer than a hook may take."""
+    """Wait until `done` is done or the context has ended, no longer than a hook may take."""
     late: asyncio.Future[None] = done.get_loop().create_future()
     cancel = driver.after(budget.limit, partial(_resolve, late))
     try:
@@ -495,7 +495,7 @@ class _Awaited:
             yield from self._request(self.done)
 
     def _claim(self) -> bool:
-        """Whether this is the first call: who begins the request and who withdraws it both call, from any thread."""
+        """Claim the request, to begin or to withdraw it; True only at the first call. From any thread."""
         try:
             return self._chance.pop()
         except IndexError:

@@ -71,14 +71,14 @@ class DriverTask(asyncio.Task[None]):
         return super().cancel(msg)
 
     def cancel_hook(self) -> None:
-        """The timer's cancellation."""
+        """Cancel the running hook for its timer."""
         super().cancel()
 
 
 class TaskDriver:
     """Carries out the steps of a context's life in a task of its own.
 
-    Others ask things of it in the loop's thread; of what they ask nothing waits.
+    Its methods for other code are called in the loop's thread, and none of them waits.
     """
 
     __slots__ = (
@@ -124,12 +124,12 @@ class TaskDriver:
         self.deadline: float | None = context.deadline
         self.budget: StopBudget | None = None
         self.hooks_run = 0
-        """Hooks that took the long way; see `run`."""
+        """The number of hooks run on the general path; see `run`."""
         self.helpers: tuple[TaskDriver, ...] = ()
-        """Drivers that carry out parts of this one's steps at the same time; they hurry and end with it."""
+        """Drivers that carry out parts of this driver's steps at the same time; they hurry and end with this driver."""
         self._stopped_by_host = self.cancelled_by_others = False
         self._careful = False
-        """Whether hooks take the long way: they have a deadline or observers, a stop began, or other code cancelled."""
+        """Whether hooks take the general path: a deadline, observers, a stop, or a cancellation by other code."""
         self._joined = False
         """Whether the component whose hook runs now came into a second context meanwhile, or has another deadline."""
         self._left = False
@@ -184,7 +184,7 @@ class TaskDriver:
             self._kicked = True
 
     def hurry(self, budget: StopBudget) -> None:
-        """A stop began: hooks are limited from now on, the one that runs included."""
+        """Limit hooks by the budget of a stop from now on, the running hook included."""
         for helper in self.helpers:
             helper.hurry(budget)
         if self.budget is None:
@@ -203,7 +203,7 @@ class TaskDriver:
         return self.loop.call_later(seconds, callback).cancel
 
     def give_up_blocking(self, members: Sequence[Member]) -> None:
-        """These members are about to end: a hook of theirs that waits for a sample does so no longer."""
+        """End the waiting of these members' hooks for samples: the members are about to end."""
         for helper in self.helpers:
             helper.give_up_blocking(members)
         member = self._member
@@ -222,7 +222,7 @@ class TaskDriver:
             self.kick()
 
     def end(self) -> None:
-        """Nothing more will come for this helper."""
+        """End this helper: no more steps will come for it."""
         raise NotImplementedError
 
     def note_cancellation(self) -> None:
@@ -241,11 +241,11 @@ class TaskDriver:
         )
 
     def update_for_sharing(self) -> None:
-        """The component whose hook runs now is in a second context from now on."""
+        """Note that the component whose hook runs now is in a second context from now on."""
         self._joined = self._careful = True
 
     def limit_anew(self, member: Member) -> None:
-        """This member's component has other deadlines: the hook of it that runs now is held to them, too."""
+        """Apply changed deadlines of this member's component, also to its running hook."""
         for helper in self.helpers:
             helper.limit_anew(member)
         timer, limits = self._timer, member.cell.deadlines
@@ -319,7 +319,7 @@ class TaskDriver:
                 self._begin_anew(fault)
 
     def _begin_anew(self, fault: BaseException) -> None:
-        """The kernel's own code raised: go on in a new task, or end."""
+        """Go on in a new task, or end, after a fault of the kernel's own code."""
         error = self._blamed(fault)
         if error is None:
             self._steps.close()
@@ -479,7 +479,7 @@ class TaskDriver:
             self.context.runner.life.failed(member, "on_execute", error)
 
     def _leave(self, member: Member) -> None:
-        """No hook of this member runs now."""
+        """Note that no hook of this member runs now."""
         lock = member.entry_lock
         self._member = lock.inside = None
         if self._joined:
@@ -595,11 +595,11 @@ class TaskDriver:
         return self.context._now_ns()
 
     def cancel_hook(self) -> None:
-        """The timer's cancellation of the hook that runs now."""
+        """Cancel the hook that runs now, for its timer."""
         self.task.cancel_hook()
 
     def abandon(self) -> None:
-        """The hook ignored every cancellation: go on without it, in a new task."""
+        """Go on in a new task without the running hook, which ignored every cancellation."""
         member, timer = self._member, self._timer
         if member is None or timer is None:
             return
@@ -643,6 +643,6 @@ async def _wait_for_turn(driver: TaskDriver, member: Member, hook: str) -> BaseE
 
 
 def _resolve(future: asyncio.Future[bool], outcome: bool) -> None:
-    """Unless it has an outcome already."""
+    """Resolve the future, unless it has an outcome already."""
     if not future.done():
         future.set_result(outcome)
