@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.cycle import Done, Steps
 
 PATIENCE: Final = 5.0
-"""Seconds of the kernel's clock until a change of parameters is given up: two hooks may wait for each other's."""
+"""Seconds of the kernel's clock until a change of parameters is given up: two hooks may wait for each other."""
 Change = Callable[[], BaseException | None]
-"""A function that carries out a change; it returns why it was refused, with nothing changed, and raises nothing."""
+"""Carries out a change and returns None; or changes nothing and returns the reason. Raises nothing."""
 _WHAT: Final = "change parameters"
 _INACTIVE: Final = LifecycleState.INACTIVE
 
@@ -62,7 +62,7 @@ def soon(kernel: KernelSide, component: ComponentSide, change: Change) -> None:
 
 
 def _at_rest(component: ComponentSide) -> bool:
-    """Whether it is active nowhere, runs no hook, and no earlier request is still to be done."""
+    """Whether the component is active in no context, runs no hook, and has no earlier change waiting."""
     return (
         cell(component).running is None
         and not cell(component).changes_queued
@@ -90,7 +90,7 @@ def _steps(component: ComponentSide, change: Change, done: Done) -> Steps:
     if cell(component).entry_lock.open:
         done(change())
         return
-    # A call is served there: it waits for its turn, as a hook does.
+    # The component serves a call now: the change waits for its turn, as a hook does.
     member = cell(component).members[0]
     outcome: list[BaseException | None] = []
     member.hooks["configure"] = HookKind.PLAIN, lambda: outcome.append(change())

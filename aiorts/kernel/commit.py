@@ -177,7 +177,7 @@ class _Change:
 
 
 def _publish(bus: Bus, name: str, old: ConfigurationState, new: ConfigurationState) -> None:
-    """On the loop: a thread has better things to do."""
+    """Publish the events of a change, on the loop: the context's thread does not wait for that."""
     from aiorts.kernel.configuration_events import ParameterAdded, configuration_events  # late: 4 ms
 
     for event in tuple(configuration_events(name, old, new)):
@@ -187,7 +187,7 @@ def _publish(bus: Bus, name: str, old: ConfigurationState, new: ConfigurationSta
 
 
 def _check_free(component: Configured, name: str) -> None:
-    """A parameter becomes an attribute: it must be able to, and take the place of nothing."""
+    """Raise ConfigurationError unless `name` can be an attribute and the component has none of that name."""
     if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
         raise ConfigurationError(
             f"{component.name}.{name}: a parameter is an attribute of the component; its name cannot be used as one"
@@ -201,7 +201,7 @@ def _overrides(component: Configured, method: str) -> bool:
 
 
 def _alike(old: ConfigurationState, new: ConfigurationState, name: str) -> bool:
-    """Whether nothing that the set would put in force is another value than before."""
+    """Whether the set would put the same values in force before and after the change."""
     if name not in old.sets or old.specs is not new.specs:
         return False
     before, after = values_in_force(old.sets, name), values_in_force(new.sets, name)
@@ -209,7 +209,7 @@ def _alike(old: ConfigurationState, new: ConfigurationState, name: str) -> bool:
 
 
 def claimed(chance: list[bool]) -> bool:
-    """True for the first who asks, from whatever thread."""
+    """Whether this call is the first for this `chance`; from any thread."""
     try:
         return chance.pop()
     except IndexError:

@@ -43,11 +43,11 @@ class Connection(tuple[C, ...]):
 
     @property
     def closed(self) -> bool:
-        """True once each of them has ended."""
+        """Whether all connectors have ended."""
         return all(each.closed for each in self)
 
     def close(self) -> None:
-        """End those that have not ended yet, as `Kernel.disconnect` does, on the kernel's loop. Idempotent.
+        """End the connectors that have not ended yet, as `Kernel.disconnect` does, on the kernel's loop. Idempotent.
 
         Raises:
             ThreadError: called in another thread than the loop's; nothing was ended.

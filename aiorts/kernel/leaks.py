@@ -1,7 +1,7 @@
 """The threads, open files, sockets and processes that a finalised component still has; nothing is ended.
 
-Python does not note which code started a thread or opened a file. Found is what hangs on the component: its
-attributes and what stands directly in a list, tuple, set or dict among them, and threads that run one of its methods.
+Python does not note which code started a thread or opened a file. Found is what the component refers to: its
+attributes, the items of a list, tuple, set or dict among them, and threads that run one of its methods.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _LOG = KernelLog()
 
 
 def report_leaks(component: ComponentSide, passed_on: Collection[object] = ()) -> None:
-    """A line in the log, where there is something."""
+    """Log what a finalised component still has, if there is anything."""
     if left := leftovers(component, passed_on):
         _LOG.warning("%s: left after on_finalize: %s", component.name, ", ".join(left))
 
 
 def leftovers(component: ComponentSide, passed_on: Collection[object] = ()) -> list[str]:
-    """One text for each thing, such as "thread 'reader' (self.reader)"; not for what another one has now."""
+    """A text for each thing left, such as "thread 'reader' (self.reader)"; without what was `passed_on` to another."""
     found: dict[int, str] = {}
     others = frozenset(map(id, passed_on))
     for name, value in tuple(vars(component).items()):
@@ -50,7 +50,7 @@ def leftovers(component: ComponentSide, passed_on: Collection[object] = ()) -> l
 
 
 def _inside(value: object) -> Iterator[object]:
-    # By the exact type: who derives from these may do anything when it is walked through.
+    # By the exact type: a derived class may do anything when it is iterated.
     if type(value) in (list, tuple, set, frozenset):
         yield from tuple(value)  # type: ignore[arg-type] # one of the four
     elif type(value) is dict:
@@ -60,7 +60,7 @@ def _inside(value: object) -> Iterator[object]:
 
 
 def _named(one: object) -> Iterator[tuple[object, str]]:
-    """The thing itself, or what it has running, while that is alive or open."""
+    """Each thing in `one` that is alive or open, with a text: `one` itself, or the threads of a pool."""
     if isinstance(one, threading.Thread):
         if one.is_alive():
             yield one, f"thread {one.name!r}"

@@ -16,13 +16,13 @@ _OPEN: Final[weakref.WeakSet[KernelSide]] = weakref.WeakSet()
 
 
 def opened(kernel: KernelSide) -> None:
-    """Its names count in the process from now on."""
+    """Count the names of this kernel's instances in the process from now on."""
     with _LOCK:
         _OPEN.add(kernel)
 
 
 def closed(kernel: KernelSide) -> None:
-    """Its names are free again."""
+    """Free the names of this kernel's instances."""
     with _LOCK:
         _OPEN.discard(kernel)
 

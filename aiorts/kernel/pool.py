@@ -1,6 +1,6 @@
-"""Notices that calls wait for a thread of the pool, and says so once until none waits any more.
+"""Reports when calls wait for a thread of the pool: once, and again only after no call has waited.
 
-Looked at once a second while a context runs; nothing is asked in between and no call is ever held up.
+The pools are checked once a second while a context runs; the check delays no call.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _EVERY: Final = 1.0
 
 
 class PoolMonitor:
-    """The look of one kernel at the pools of its loop."""
+    """The regular check of one kernel's thread pools."""
 
     def __init__(self, kernel: KernelSide) -> None:
         self._kernel = weakref.proxy(kernel)
@@ -35,13 +35,13 @@ class PoolMonitor:
         self._exhausted = False
 
     def look_out(self) -> None:
-        """A context is started: look from now on while there is one. In a task of the kernel's loop."""
+        """Check from now on while any context runs: a context was started. In a task of the kernel's loop."""
         if self._timer is None and not isinstance(self._kernel.clock, SimulatedClock):
             self._limiter = current_default_thread_limiter()
             self._timer = self._kernel.loop.call_later(_EVERY, self._look)
 
     def close(self) -> None:
-        """Do not look any more."""
+        """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -65,7 +65,7 @@ class PoolMonitor:
         self._exhausted = waiting > 0
 
     def _queue(self) -> tuple[int, int]:
-        """Calls that wait and threads that work, of the fuller of the two pools: anyio's and the loop's own."""
+        """Waiting calls and working threads of one pool, anyio's or the loop's own: that with more waiting calls."""
         found = (0, 0)
         if self._limiter is not None:
             statistics = self._limiter.statistics()

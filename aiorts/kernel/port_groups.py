@@ -47,7 +47,7 @@ class PortPlan:
         return same_order and not (self._added or self._removed or self._reworded)
 
     def put(self) -> None:
-        """The ports that come are there, those that go are not; the connectors of those still exist."""
+        """Add new ports and take out those that go; the connectors of the latter stay until `settle`."""
         component = self._component
         fixed = {name: port for name, port in self._before.items() if name not in self._group_before}
         self._set(self._group, {**fixed, **self._group})
@@ -56,7 +56,7 @@ class PortPlan:
                 member.port_added(port)
 
     def undo(self) -> None:
-        """As if nothing had been."""
+        """Restore the ports of before `put`."""
         for port in self._added:
             for member in cell(self._component).members:
                 member.port_removed(port)
@@ -85,7 +85,7 @@ class PortPlan:
 
     def _set(self, group: Mapping[str, Port[Any]], ports: Mapping[str, Port[Any]]) -> None:
         cell(self._component).port_group = group
-        # In place: others look at this very dictionary.
+        # Changed in place: other code refers to this dictionary.
         live = cell(self._component).ports
         live.clear()
         live.update(ports)
@@ -116,7 +116,7 @@ def plan_ports(component: ComponentSide, wanted: Mapping[str, Any]) -> PortPlan:
 
 
 def _standing(component: ComponentSide) -> dict[str, Port[Any]]:
-    """The ports of the group that were not removed otherwise."""
+    """The ports of the group, without those that were removed in another way."""
     ports = cell(component).ports
     return {name: port for name, port in cell(component).port_group.items() if ports.get(name) is port}
 

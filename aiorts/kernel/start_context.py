@@ -29,7 +29,7 @@ _LOG = KernelLog()
 
 
 def check_start(kernel: Microkernel, context: Context, components: Sequence[Component]) -> None:
-    """Everything that says no to a start, before anything is changed; the context has a name afterwards."""
+    """Make every check that may refuse a start, before anything is changed; give the context a name."""
     if not isinstance(context, Context):
         raise DeclarationError(f"{context!r}: expected an execution context such as PeriodicContext(rate=100.0)")
     if context.running or (context.name and kernel.contexts.get(context.name) is context):
@@ -105,7 +105,7 @@ def _forget_unless_running(kernel: Microkernel, context: Context) -> None:
 
 
 def arrange_contexts(kernel: Microkernel, names: Iterable[str]) -> None:
-    """Put the contexts of these names in this order; others come behind them."""
+    """Put the contexts with these names in this order; other contexts follow."""
     arrange(kernel._contexts, names)
 
 
