@@ -37,7 +37,7 @@ class Sharer(Entrant, Protocol):
         """Update the fields that a cycle reads."""
 
     def update_for_sharing(self) -> None:
-        """Have the member's running hook let others enter when it ends."""
+        """Make the member's running hook let others enter when it ends."""
 
 
 class EntryLock:

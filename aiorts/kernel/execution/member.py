@@ -207,7 +207,7 @@ class Member:
         return self.context.runner.current is self
 
     def update_for_sharing(self) -> None:
-        """Have the member's running hook let others enter when it ends."""
+        """Make the member's running hook let others enter when it ends."""
         if self.context.runner.driver is not None:
             self.context.runner.driver.update_for_sharing()
 

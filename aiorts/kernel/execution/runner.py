@@ -165,7 +165,7 @@ class Runner:
         return f"lay out the order of {self._context.name}", steps
 
     async def release(self, components: Sequence[ComponentSide], timeout: float | None = 5.0) -> None:
-        """Have these components leave the context, even members of a composite."""
+        """Make these components leave the context, even members of a composite."""
         await self.ask([self.leaving(self.member(component)) for component in components], timeout)
 
     def submit(self, action: Action) -> None:

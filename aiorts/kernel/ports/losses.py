@@ -73,7 +73,7 @@ class Losses:
         connector.out._refresh()
 
     def begin(self, connector: Connector) -> None:
-        """Have the loop report a connector's first loss soon, and later losses in summary; from any thread."""
+        """Let the loop report a connector's first loss soon, and later losses in summary; from any thread."""
         connector._transport.losses = False
         connector.out._refresh()
         self._kernel.loop.call_soon_threadsafe(
@@ -171,7 +171,7 @@ class Unconverted(Losses):
         self._failing.discard(connector)
 
     def failed(self, connector: Connector, explain: Callable[[], str]) -> None:
-        """Have the loop report a connector's first failed conversion, and later ones in summary; from any thread."""
+        """Let the loop report a connector's first failed conversion, and later ones in summary; from any thread."""
         if connector not in self._failing:
             self._failing.add(connector)
             self._kernel.loop.call_soon_threadsafe(self._first, connector, explain())

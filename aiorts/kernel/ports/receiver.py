@@ -568,7 +568,7 @@ class Receiver:
         self.refresh_writers()
 
     def refresh_writers(self) -> None:
-        """Have all ports that write to this port choose their write paths again."""
+        """Make all ports that write to this port choose their write paths again."""
         for connector in self.port._connectors:
             connector.out._refresh()
 

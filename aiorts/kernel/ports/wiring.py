@@ -242,7 +242,7 @@ def measure(connector: Connector, count: int) -> None:
 
 
 def _refresh_writers(out: OutPort[Any], receiver: Receiver, several: bool) -> None:
-    """Have write paths chosen again: of `out`, and of all its reader's writers if the reader's order changed."""
+    """Choose write paths again: of `out`, and of all writers to its reader if `receiver` gained or lost its tokens."""
     out._refresh()
     if several is (receiver.tokens is None):
         receiver.refresh_writers()
