@@ -359,7 +359,7 @@ class Receiver:
 
         Raises:
             BusyError: another task waits.
-            WouldBlock: the component's thread never waits.
+            WouldBlock: the component runs in a real-time thread, which never waits.
         """
         port = self.port
         host = port._bound()
