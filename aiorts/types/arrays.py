@@ -1,7 +1,7 @@
-"""Number sequences: input that numpy can read becomes a native, contiguous, owned, read-only array, no value changed.
+"""Number sequences: input that numpy can read becomes a native, contiguous, owned, read-only array of the same values.
 
-An array that already owns its memory is taken over and frozen; a read-only view of immutable `bytes` counts as owned,
-so that decoding adds no copy; everything else is copied once. A value that the element type cannot hold is an error,
+An array that already owns its memory is kept and frozen; a read-only view of immutable `bytes` counts as owned, so
+that decoding adds no copy. All other input is copied once. A value that the element type cannot hold is an error,
 never a wrap. numpy is imported here, and here only when the first array is checked.
 """
 
@@ -43,8 +43,8 @@ def element_name(dtype: np.dtype[Any]) -> str | None:
 def sealed_bytes(size: int) -> memoryview:
     """Memory of `size` bytes that a transport fills once, and that nothing writes to afterwards.
 
-    Records take arrays on read-only views of it without a copy, as on `bytes`, which cannot be filled from a socket.
-    Pages that are not filled take no memory, so that a size which a peer claims costs microseconds.
+    A record keeps an array on a read-only view of this memory without a copy, as on `bytes`; but `bytes` cannot be
+    filled from a socket. Unfilled pages take no memory, so that a false size from a peer costs only microseconds.
     """
     import numpy as np
 
@@ -54,9 +54,9 @@ def sealed_bytes(size: int) -> memoryview:
 
 def sealed_view(memory: memoryview) -> memoryview:
     """A view of read-only memory that another process has filled, and that nothing writes to while this view is in use.
-    Records take arrays on it without a copy, as on `sealed_bytes`.
+    A record keeps an array on this view without a copy, as on `sealed_bytes`.
 
-    Its `obj` lives as long as the last array or view that looks into this memory.
+    The view's `obj` lives as long as the last array or view that uses this memory.
 
     Raises:
         ValueError: the memory can be written to.
@@ -71,7 +71,7 @@ def sealed_view(memory: memoryview) -> memoryview:
 
 @functools.cache
 def _sealed_class() -> type:
-    """The class of the memory that `sealed_bytes` and `sealed_view` give."""
+    """The class of the arrays behind the views that `sealed_bytes` and `sealed_view` return."""
     import numpy as np
 
     class Sealed(np.ndarray):
@@ -97,7 +97,7 @@ def freeze(array: AnyArray) -> AnyArray:
 
 @functools.cache
 def _array_class() -> type:
-    """numpy.ndarray; a call of this is cheaper than an import statement in the function that needs it."""
+    """Return numpy.ndarray; this cached call is cheaper than an import statement in each caller."""
     import numpy as np
 
     return np.ndarray
@@ -112,7 +112,7 @@ def element_dtype(element: str) -> np.dtype[Any]:
 
 
 def _of_bytes(array: AnyArray) -> bool:
-    """Whether the memory belongs to `bytes`, which cannot change, or is sealed, which is not written to."""
+    """Whether the array's memory cannot change: it belongs to `bytes`, or is sealed."""
     base: Any = array
     while type(base) is type(array):
         if base.flags.writeable:
@@ -148,7 +148,7 @@ class ArrayKind(Kind):
 
 
 class NDArrayKind(ArrayKind):
-    """numpy array of up to eight dimensions and of any element type that may travel (or of one)."""
+    """numpy array of up to eight dimensions, of one given element type or of any that may travel."""
 
     def __init__(self, element: str | None = None) -> None:
         self.element = element
@@ -195,7 +195,7 @@ def _any_array(value: Any, where: str) -> AnyArray:
 
 
 def _floats(value: Any, where: str) -> Any:
-    """Nested lists of ints and floats with every int as the float that is exactly it."""
+    """Nested lists of ints and floats, with each int converted to the float equal to it."""
     if isinstance(value, (list, tuple)):
         return [_floats(item, f"{where}[{index}]") for index, item in enumerate(value)]
     return SCALARS["f64"].check(value, where)
@@ -210,7 +210,7 @@ def _leaf_types(value: Any, depth: int = 0) -> Iterable[type]:
 
 
 def as_array(value: Any, element: str, where: str) -> AnyArray:
-    """`value` as an array, its values not yet compared with the element type."""
+    """`value` as an array; whether its values fit the element type is not checked yet."""
     import numpy as np
 
     if type(value) is np.ndarray:
@@ -241,7 +241,7 @@ def _unmasked(value: Any, where: str) -> AnyArray:
 
 
 def _from_items(items: list[Any], element: str, where: str) -> AnyArray:
-    """An array of items that each pass the scalar check; the common cases skip the check of each one."""
+    """An array of items that all pass the scalar check; the common cases are checked as a whole, not item by item."""
     import numpy as np
 
     kind = SCALARS.get(element)
@@ -258,7 +258,7 @@ def _from_items(items: list[Any], element: str, where: str) -> AnyArray:
 
 
 def exact(array: AnyArray, element: str, where: str) -> AnyArray:
-    """The array in the element type, unchanged if it has it; RecordError if one value would change.
+    """The array converted to the element type; RecordError if the conversion would change a value.
 
     Floats may be rounded to 32 bits (a float32 field is defined as the nearest value) but may not overflow.
     """
@@ -285,7 +285,7 @@ def exact(array: AnyArray, element: str, where: str) -> AnyArray:
 
 
 def inexact_as_float(array: AnyArray) -> npt.NDArray[np.bool_]:
-    """The mask of integers that no 64-bit float equals. numpy itself calls that cast safe."""
+    """The mask of integers that no 64-bit float equals. numpy itself calls a cast of them to float safe."""
     import numpy as np
 
     if array.dtype.itemsize < 8:
@@ -317,5 +317,5 @@ def _refuse(array: AnyArray, bad: Any, element: str, where: str) -> None:
     raise RecordError(f"{where}[{index}]: expected {expected}, got {array[bad][0]}")
 
 
-# kinds of array each kind of element may be given as; all others are a wrong dtype however harmless the values look
+# the dtype kinds that are accepted for each kind of element; any other is refused, even if all its values would fit
 _ACCEPTS = {"b": "b", "i": "iu", "u": "iu", "f": "fiu", "c": "cfiu"}

@@ -3,9 +3,9 @@
 `overflow` decides what becomes of a number the target cannot hold: `error`, `saturate` (the nearest limit; infinity is
 a limit) or `wrap` (modulo 2**bits for integers, infinity for floats). `rounding` decides how a fraction becomes an
 integer: `round` (to nearest, halves to even, so that 1.001 m is 1001 mm), `truncate` or `floor`. bool counts as an
-integer of one bit, a datetime as its nanoseconds since the epoch (as text it is that of ISO 8601). Text is read as a
-decimal number or as true/false and written as Python writes it; a character is text of length one. NaN has no integer,
-and text that is no number has none either: those are errors under every policy.
+integer of one bit, a datetime as its nanoseconds since the epoch (a datetime becomes ISO 8601 text). Text is read as a
+decimal number or as true/false; a value becomes the text that Python prints for it; a character is text of length one.
+NaN, or text that is no number, cannot become an integer: that is an error under every policy.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LARGEST = {"f64": 1.7976931348623157e308, "f32": 3.4028234663852886e38}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,9})?", re.ASCII)
 _SPECIAL = {"nan": math.nan, "inf": math.inf, "infinity": math.inf}
 _TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
-# Longer text is hardly a number, and reading it would take time that grows with the square of its length.
+# Longer text is hardly a number, and the time to parse it grows with the square of its length.
 _LONGEST_NUMBER = 1000
 
 
@@ -187,7 +187,7 @@ def _integer(number: Number, target: str, overflow: str, rounding: str) -> int:
     if isinstance(number, int):
         return number
     if not isinstance(number, float):
-        # Beyond this no target is in reach; the digits would only cost memory.
+        # No target holds a number this large; its digits would only cost memory.
         if number.adjusted() > 400:
             number = math.copysign(math.inf, number)
         elif number.adjusted() < -400:

@@ -1,4 +1,4 @@
-"""The array half of `convert`: the same rules as for scalars, a whole array at a time."""
+"""Converts whole arrays for `convert`, by the same rules as scalars."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The 28 geometric records of OpenRTM, and the same with a time stamp.
 
-Lengths are in m, angles in rad, velocities in m/s and rad/s, accelerations in m/s2 and rad/s2. All fields are 0 until
-given.
+Lengths are in m, angles in rad, velocities in m/s and rad/s, accelerations in m/s2 and rad/s2. All fields are 0 by
+default.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Records that OpenRTM has no word for: 64-bit integers, arrays of any shape, maps."""
+"""Records that OpenRTM does not have: 64-bit integers, arrays of any shape, maps."""
 
 from __future__ import annotations
 

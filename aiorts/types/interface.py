@@ -1,6 +1,7 @@
 """The 44 device records and 5 enumerations of OpenRTM. Those that are port data carry their own `tm`.
 
-Field names are those of the IDL, so that profiles and logs of OpenRTM fit. Lengths in m, angles in rad, unless said.
+Field names are those of the IDL, so that profiles and logs of OpenRTM fit. Lengths are in m and angles in rad, unless
+the record states other units.
 """
 
 from __future__ import annotations
@@ -150,7 +151,7 @@ class ActArrayActuatorType(IntEnum):
 class ActArrayActuatorGeometry:
     """The geometry of an actuator.
 
-    `length` is the distance to the next one, ranges are m or rad, `axis` is the axis of its motion.
+    `length` is the distance to the next actuator, ranges are in m or rad, `axis` is the axis of motion.
     """
 
     type: ActArrayActuatorType = ActArrayActuatorType.ACTARRAY_ACTUATORTYPE_LINEAR
@@ -418,7 +419,7 @@ class PoseFeature:
 class LineFeature:
     """A line found in the plane, distance rho and angle alpha with their covariance.
 
-    `Sighted` says whether that end was seen.
+    `Sighted` tells whether that end of the line was seen.
     """
 
     probability: f64 = 0.0
@@ -505,7 +506,7 @@ class PointCloudPoint:
 
 @record
 class PointCloud(Stamped):
-    """Points as one array of six columns (x, y, z, r, g, b) that reads as records."""
+    """Points as one array of six columns (x, y, z, r, g, b), whose items are read as records."""
 
     tm: int = 0
     points: Rows[PointCloudPoint] = EMPTY
@@ -553,7 +554,7 @@ class RangerConfig:
 
 @record
 class RangeData(Stamped):
-    """One scan, m, with the geometry and settings it was made with."""
+    """The ranges of one scan, in m, with the geometry and settings of the scanner."""
 
     tm: int = 0
     ranges: Array[f64] = EMPTY
@@ -563,7 +564,7 @@ class RangeData(Stamped):
 
 @record
 class IntensityData(Stamped):
-    """Intensities of one scan, 0..1, with the geometry and settings it was made with."""
+    """The intensities of one scan, 0..1, with the geometry and settings of the scanner."""
 
     tm: int = 0
     intensities: Array[f64] = EMPTY

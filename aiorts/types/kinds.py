@@ -1,7 +1,7 @@
-"""The values that a field may hold, and their only check: `kind.check(value, where)` returns the one to keep or raises.
+"""The values that a field may hold, and their only check: `kind.check(value, where)` returns the kept value or raises.
 
 A kind is shared by all fields of its sort and knows no field name; `where` ("TimedLong.data") is used in messages only.
-`exact` is the class whose instances need no check at all, which is what the constructors test first.
+`exact` is the class whose instances need no check at all; constructors compare a value's class with it first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STRING_LIMIT = 120
 
 
 class Unchecked:
-    """No value is of this class: as `Kind.exact` it sends every value through `check`."""
+    """A class that no value has: with it as `Kind.exact`, every value goes through `check`."""
 
 
 def shown(value: object) -> str:
@@ -78,11 +78,11 @@ class Kind:
         return self.spelling
 
     def check(self, value: Any, where: str) -> Any:
-        """The value to keep; RecordError naming `where`, expected and got if it does not fit."""
+        """The value to keep; if it does not fit, a RecordError with `where`, the expected kind and the value."""
         raise NotImplementedError
 
     def zero(self) -> Any:
-        """The value of a field that was not given."""
+        """The value of a field that is left out."""
         raise NotImplementedError
 
     def same(self, left: Any, right: Any) -> bool:
@@ -90,7 +90,7 @@ class Kind:
         return bool(left == right)
 
     def hashed(self, value: Any) -> Any:
-        """The stand-in for a kept value in a record's hash; TypeError if it cannot be hashed."""
+        """A hashable value that replaces the kept one in a record's hash; TypeError if there is none."""
         return value
 
     def __repr__(self) -> str:
@@ -98,7 +98,7 @@ class Kind:
 
 
 class IntKind(Kind):
-    """An integer of a fixed width. A bool is refused: written into a number it is rarely intended."""
+    """An integer of a fixed width. A bool is refused, because a bool as a number is rarely intended."""
 
     def __init__(self, spelling: str, low: int, high: int) -> None:
         self.spelling, self.low, self.high = spelling, low, high
@@ -186,7 +186,7 @@ _float32 = struct.Struct("<f")
 
 
 class BoolKind(Kind):
-    """True or False, nothing that merely counts as either."""
+    """True or False; other values that are merely truthy or falsy are refused."""
 
     spelling = "bool"
     element = "bool"
@@ -202,7 +202,7 @@ class BoolKind(Kind):
 
 
 class TextKind(Kind):
-    """Text that UTF-8 can carry; with a limit, one character of at most that code."""
+    """Text that UTF-8 can encode; with a `limit`, one character whose code is at most the limit."""
 
     def __init__(self, spelling: str, limit: int | None = None) -> None:
         self.spelling, self.limit = spelling, limit
@@ -371,7 +371,7 @@ _OF_64_BITS = IntKind("i64", -(2**63), 2**63 - 1)
 
 
 class DateTimeKind(Kind):
-    """A `datetime`, kept in UTC; it travels as its nanoseconds since the epoch, which are accepted, too.
+    """A `datetime`, kept in UTC; it travels as nanoseconds since the epoch, and such an integer is accepted, too.
 
     A datetime counts whole microseconds: nanoseconds between two of them are refused, and nothing is rounded. 64 bits
     of nanoseconds reach from 1677 to 2262.

@@ -1,4 +1,4 @@
-"""Records inside records, and the one table that turns records of equal leaves into rows of an array."""
+"""Records inside records; records whose leaves all have one element type become rows of an array."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class RecordKind(Kind):
-    """A nested record: an instance of exactly this class, because a subclass would lose its own fields on the way."""
+    """A nested record: an instance of exactly this class, because the fields that a subclass adds would not travel."""
 
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
@@ -64,7 +64,7 @@ def _leaves(kind: RecordKind, prefix: str) -> Iterator[tuple[str, str | None]]:
 
 
 def _builder(kind: RecordKind, start: int) -> tuple[Callable[[Any], Any], int]:
-    """A function from a row to the record whose first leaf is in column `start`, and the column after its last."""
+    """A function that makes a row's record from the columns from `start` on, and the column after its last leaf."""
     from aiorts.types.record import setters_of
 
     steps: list[tuple[Callable[[Any, Any], None], int | Callable[[Any], Any]]] = []

@@ -16,7 +16,7 @@ from aiorts.types.structure import Structure, describe
 _STEP = re.compile(r"(?:\.?(?P<name>[^\W\d]\w*)|\[(?P<index>-?\d{1,9})\]|\[(?P<quote>['\"])(?P<key>.*?)(?P=quote)\])")
 
 _STAMPS = {"sec": "u32", "nsec": "u32", "tm": "stamp"}
-"""The attributes of records with a time stamp besides their fields: its parts, or all of it where a header holds it."""
+"""Attributes of records with a time stamp besides their fields; `tm` is one where a header holds the stamp."""
 
 Step = str | int
 
@@ -24,7 +24,7 @@ Step = str | int
 def parse_path(path: str) -> tuple[tuple[bool, Step], ...]:
     """The steps of a path.
 
-    Each is a pair: whether it is a field name, and the name, index or map key. InvalidNameError names the mistake.
+    Each step is a pair: whether it is a field name, and the name, index or map key. InvalidNameError names the mistake.
     """
     steps: list[tuple[bool, Step]] = []
     position = 0
@@ -47,7 +47,8 @@ def parse_path(path: str) -> tuple[tuple[bool, Step], ...]:
 def read_path(record: Any, path: str) -> Any:
     """The value at a path such as `pose.position.x`, `ranges[3]`, `actuators[0].position` or `data['speed']`.
 
-    The empty path is the record itself. RecordError says how far the path leads; InvalidNameError if it is no path.
+    The empty path is the record itself. RecordError names the part of the path that exists;
+    InvalidNameError: the text is no path.
     """
     value = record
     reached = type(record).__qualname__
@@ -86,8 +87,8 @@ def _item(value: Any, index: Step, reached: str) -> Any:
 def path_type(cls: type, path: str) -> Kind | type:
     """The type at `path` in records of `cls`: a record type for nested records, a kind for all else.
 
-    RecordError names the step that does not exist. A path may lead through optional fields, and indices are not
-    compared with a length: only a sample decides both.
+    RecordError names the step that does not exist. A path may lead through optional fields, and indices may
+    be of any size: only a sample shows whether they exist.
     """
     current: Any = cls
     reached = cls.__qualname__

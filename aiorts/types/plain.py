@@ -55,8 +55,8 @@ def from_plain(cls: type[T], plain: Plain, *, defaults: bool = False) -> T:
     """The record that `to_plain` wrote. RecordError names the field that is missing, unknown or wrong.
 
     Args:
-        defaults: fields that have a default may be missing, and a datetime may be text (ISO 8601, with a zone), as in
-            the lines of filters; fields that are None by default may always be missing.
+        defaults: whether fields that have a default may be missing, and a datetime may be text (ISO 8601, with a zone),
+            as in the lines of filters; fields that are None by default may always be missing.
     """
     if cls in PLAIN_TYPES:
         return cast("T", _take(kind_of(cls, cls.__name__), plain, cls.__name__, defaults))
@@ -86,7 +86,7 @@ def _take_record(cls: type, plain: Plain, where: str, defaults: bool) -> Any:
 
 
 def build(cls: type, values: dict[str, Any]) -> Any:
-    """An instance of a record type or dataclass, lists where a mutable dataclass declares lists."""
+    """Make an instance of a record type or dataclass; a mutable dataclass gets lists where it declares lists."""
     restores, late = _making.get(cls) or _know_making(cls)
     for name, restore in restores:
         if values.get(name) is not None:
@@ -106,7 +106,7 @@ def is_built_plainly(cls: type) -> bool:
 
 
 _making: dict[type, tuple[list[tuple[str, Callable[[Any], Any]]], tuple[str, ...]]] = {}
-"""How `build` makes each class: what its fields become first, and the fields that its constructor does not take."""
+"""Data for `build` by class: functions that restore fields, and the fields that its constructor does not take."""
 
 
 def _know_making(cls: type) -> tuple[list[tuple[str, Callable[[Any], Any]]], tuple[str, ...]]:
@@ -123,7 +123,7 @@ def _know_making(cls: type) -> tuple[list[tuple[str, Callable[[Any], Any]]], tup
 
 
 def _restore(kind: Kind) -> Callable[[Any], Any] | None:
-    """The function that restores a field of a mutable dataclass: a list where it declares one, a dict for a map."""
+    """The function that restores a field of a mutable dataclass: `list` for a declared list, `as_dict` for a map."""
     kind = kind.inner if isinstance(kind, OptionalKind) else kind
     if isinstance(kind, MapKind):
         return as_dict
@@ -220,7 +220,7 @@ def _take_array(kind: Kind, plain: Plain, where: str) -> Any:
 
 
 def _put_ndarray(kind: Kind, value: Any) -> Plain:
-    """Type, shape and bytes (little-endian), because nested lists forget the first two and NaN payloads."""
+    """Type, shape and bytes (little-endian), because nested lists lose the type, the shape and NaN payloads."""
     little = value.astype(value.dtype.newbyteorder("<"), copy=False)
     return {
         "dtype": element_name(value.dtype),
@@ -376,4 +376,4 @@ _TAKE_PARTS: tuple[tuple[type, Callable[[Any, Plain, str, bool], Any]], ...] = (
     (OptionalKind, _take_optional),
     (DateTimeKind, _take_datetime),
 )
-"""Kinds that may hold records, or that have several forms in a line."""
+"""The functions that read kinds which may hold records, or which have several forms in a line."""

@@ -48,7 +48,7 @@ class Lazy:
 
 
 class Stamped:
-    """Base that tells type checkers of `sec` and `nsec`, which every record with a time stamp has in any case."""
+    """Declares `sec` and `nsec` to type checkers; a record with a time stamp has them without this base, too."""
 
     __slots__ = ()
 
@@ -64,7 +64,7 @@ class Stamped:
 
 
 def zero(cls: type[T]) -> T:
-    """The default of a field: the record of zeros, made on first use."""
+    """A default for a field of the type `cls`: its record of zeros, made on first use."""
     return cast("T", Lazy(cls))
 
 
@@ -172,7 +172,7 @@ def _default(cls: type, name: str, kind: Kind, where: str) -> tuple[Any, Any]:
 
 
 def _rebuild(cls: type, fields: tuple[Field, ...]) -> type:
-    """The class made again, with slots; `super()` in its methods refers to the new one."""
+    """Make the class again, with slots; `super()` in its methods refers to the new class."""
     inherited = {field.name for base in cls.__mro__[1:] for field in _fields_of_base(base)}
     own = tuple(field.name for field in fields if field.name not in inherited)
     left_out = {"__dict__", "__weakref__", *(field.name for field in fields)}
@@ -215,7 +215,7 @@ def _made(check: Check) -> Check:
 
 
 def setters_of(cls: type) -> tuple[Callable[[Any, Any], None], ...]:
-    """The slots' own setters, in order of the fields: they build records despite the refusal to assign."""
+    """The slots' own setters, in order of the fields: they store values in a record that refuses assignment."""
     structure: Structure = cls.__dict__[STRUCTURE]
     return tuple(getattr(cls, field.name).__set__ for field in structure.fields)
 
@@ -278,7 +278,7 @@ def _repr(self: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """A field for reading: long sequences by their first items and their length."""
+    """The text of a field in `repr`: a long sequence is shown by its first items and its length."""
     if hasattr(value, "dtype") and hasattr(value, "tolist") and value.ndim != 1:
         return f"array({value.tolist()})" if value.size <= 8 else f"<{value.dtype} array of shape {value.shape}>"
     if hasattr(value, "dtype") or (type(value) is tuple and len(value) > 8):

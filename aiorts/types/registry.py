@@ -1,9 +1,9 @@
 """Names of record types: found by short name, or by `module.Name` when two modules define the same one.
 
-A record enters when it is defined, a user's dataclass when it is first described. An unknown name that a user typed is
-looked for among the types that plugins offer. A name that came in a frame or a file imports nothing but a class that a
-plugin declares under exactly that name, and our own records of ROS. ROS records have no short name: `sensor_msgs/Imu`
-is the only name of its record.
+A record is registered when it is defined, a user's dataclass when it is first described. An unknown name that a user
+typed is looked for among the types that plugins offer. A name from a frame or a file imports only a class that a
+plugin declares under exactly that name, or a record of ROS that comes with aiorts. ROS records have no short name:
+`sensor_msgs/Imu` is the only name of its record.
 """
 
 from __future__ import annotations
@@ -90,12 +90,12 @@ def _known(name: str) -> type | None:
 
 
 def _of_ros(name: str) -> type | None:
-    """The record of ROS's type `package/Name`, loaded now if none was before."""
+    """The record of ROS's type `package/Name`; loads the records of ROS if they are not loaded yet."""
     return _by_full_name.get(name) if name in finder("ros")(name) else None
 
 
 def is_known(name: str) -> bool:
-    """Whether a module that is loaded defines the name, once or more often."""
+    """Whether loaded modules define at least one type of this name."""
     return name in _plain or name in _by_full_name or bool(_by_short_name.get(name))
 
 
@@ -124,7 +124,7 @@ def all_types() -> Mapping[str, type]:
 def wire_name(cls: type) -> str:
     """The name of a type in frames.
 
-    Bare for the records that come with aiorts, full for all others, the same forever.
+    It is the bare name for records that come with aiorts, the full name for all others. It never changes.
     """
     return full_name(cls).removeprefix(_BUILTIN)
 
@@ -133,10 +133,10 @@ def wire_type(name: str, *, bare: bool = False) -> type | None:
     """The type that a frame or a recording names; None if it is neither registered nor declared by a plugin.
 
     Args:
-        bare: as lines of JSON name it: a user's type by its class name alone, too.
+        bare: whether a user's type is also found by its class name without a module, as in lines of JSON.
 
     Raises:
-        UnknownTypeError: the plugin that declares it is broken, or a bare name is that of several types.
+        UnknownTypeError: the plugin that declares the type is broken, or several types have this bare name.
     """
     found = _named(name, bare)
     if found is None and "/" in name:

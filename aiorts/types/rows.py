@@ -1,6 +1,6 @@
 """Sequences of records: tuples, or, when all leaves have one element type, one (n, k) array with record views.
 
-`RecordArray` keeps no record: it makes one when it is asked for, so that a point cloud of 10^5 points is one object.
+`RecordArray` keeps no records: it makes a record on access, so that a point cloud of 10^5 points is one object.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ T = TypeVar("T")
 class RecordArray(Sequence[T], Generic[T]):
     """`n` records as one read-only array of shape (n, k), a column for each leaf in order of declaration.
 
-    `rows[i]` makes the record of row i, `rows[a:b]` another view, `rows.array` is the array itself.
+    `rows[i]` makes the record of row i, `rows[a:b]` a `RecordArray` of these rows; `rows.array` is the array itself.
     """
 
     __slots__ = ("_kind", "array")
@@ -64,7 +64,7 @@ class RecordArray(Sequence[T], Generic[T]):
 
     def __iter__(self) -> Iterator[T]:
         build = self._kind.build  # type: ignore[attr-defined]
-        # In blocks: one row at a time costs a numpy call each, all at once a list of everything.
+        # Rows are read in blocks: single rows cost a numpy call each, and all rows at once need a list of everything.
         for start in range(0, len(self.array), 1024):
             for row in self.array[start : start + 1024].tolist():
                 yield build(row)
@@ -189,7 +189,7 @@ class TupleKind(Kind):
 
 
 def _same_or(value: Any, kept: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The value itself if it is a tuple of what is to be kept: then nothing need be copied."""
+    """The value itself if it is a tuple of the same items as `kept`, which saves a copy; else `kept`."""
     return value if type(value) is tuple and all(map(is_, value, kept)) else kept
 
 
@@ -220,15 +220,15 @@ class FixedTupleKind(Kind):
 
 
 MAP_LEVELS = 16
-"""The most maps within each other: far more than data needs, and no frame can nest without end."""
+"""The most levels of maps inside maps: far more than data needs, and a limit for what a frame can nest."""
 
 
 class MapKind(Kind):
-    """Text to bool, int (64 bits), float, text, bytes, array or such a map; kept as read-only mappings of its own.
+    """Text to bool, int (64 bits), float, text, bytes, array or such a map; kept as a read-only copy.
 
     Args:
-        entries: the kinds that values may have; none for any of these. They bind the writer alone: on the wire each
-            value names its type.
+        entries: the kinds that values may have; without any, all these kinds. Only the writer checks them: on the
+            wire each value names its type.
     """
 
     spelling = "map"
@@ -257,7 +257,7 @@ class MapKind(Kind):
         return MappingProxyType(kept)
 
     def _entry(self, value: Any, where: str, levels: int) -> Any:
-        """The value as one of the declared kinds keeps it: the kind of its own class, else the first that takes it."""
+        """The value as checked by a declared kind: that of its own class, else the first that accepts it."""
         for kind in self.entries:
             if kind.exact is type(value):
                 return value
@@ -282,7 +282,7 @@ class MapKind(Kind):
 def _undeclared(value: Any, where: str, key: Any, levels: int) -> Any:
     """Check a value of a map that declares no kinds."""
     if type(value).__name__ == "ndarray":
-        # The key is added to `where` only if the value is refused: that takes as long as the check.
+        # The key is added to `where` only if the value is refused, because making that text takes as long as the check.
         with suppress(RecordError):
             return _ARRAY.check(value, where)
     where = f"{where}[{shown(key)}]"
@@ -292,7 +292,7 @@ def _undeclared(value: Any, where: str, key: Any, levels: int) -> Any:
 
 
 def _is_as_it_travels(value: Any) -> bool:
-    """Whether a value is of a class that most maps hold, and needs no look at its kind."""
+    """Whether a value is a scalar that travels unchanged, so that no kind has to check it."""
     cls = type(value)
     if cls is str:
         return bool(value.isascii())
@@ -305,7 +305,7 @@ _ENTRY = {bool: "bool", int: "i64", float: "f64", str: "str", bytes: "bytes"}
 
 
 def _entry_kind(value: Any) -> Kind:
-    """The kind of an entry: the map declares none, so the value decides, and one that is no scalar must be an array."""
+    """The kind of an entry of a map that declares no kinds: the kind of the scalar; for any other value, an array."""
     for cls, name in _ENTRY.items():
         if isinstance(value, cls):
             return SCALARS["u64" if name == "i64" and value > SCALARS["i64"].high else name]  # type: ignore[attr-defined]

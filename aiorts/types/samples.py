@@ -1,8 +1,8 @@
-"""Samples as ports need them: whether a type may travel, whether a sample can change, copies with another time.
+"""Functions for the samples of ports: whether a type may travel, whether a sample can change, copies with another time.
 
 A record was checked when it was built. Any other dataclass is checked when it is written: a mutable one travels as an
 instance of a hidden subclass that refuses assignment and compares equal to the original, so that all readers can share
-it; a frozen one travels itself, or as a copy where a field held something that can change or had to be converted.
+it. A frozen one travels as it is, or as a copy if a field holds something that can change or has to be converted.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def check_port_type(cls: object) -> None:
 
 
 def original(cls: type) -> type:
-    """The class a snapshot is of; any other class itself."""
+    """For the hidden class of snapshots, the dataclass that it was made from; any other class itself."""
     found: type = cls.__dict__.get(FROZEN_OF, cls)
     return found
 
@@ -70,7 +70,7 @@ def has_tm(cls: type) -> bool:
 def snapshot(sample: T) -> T:
     """The sample as it may travel: each field matches its declaration, and nothing in it can change.
 
-    It is the sample itself where that holds already, else a copy. RecordError names the field that does not match.
+    Returns the sample itself if it is so already, else a copy. RecordError names the field that does not match.
     """
     cls = type(sample)
     if cls not in _looks:
@@ -83,9 +83,9 @@ _looks: dict[type, Callable[[Any], Any] | None] = {}
 
 
 def look_at(cls: type) -> Callable[[Any], Any] | None:
-    """The function that `snapshot` calls for samples of one class; None for records and others that need no look.
+    """The function that `snapshot` calls for samples of one class; None for classes whose samples travel unchecked.
 
-    It compares the class of each field's value, and calls the check only of fields that do not fit or are mutable.
+    It compares the class of each field's value, and calls `check` only for values that do not fit or are mutable.
     """
     if cls in PLAIN_TYPES:
         kind, name = kind_of(cls, cls.__name__), cls.__name__
@@ -126,9 +126,9 @@ def look_at(cls: type) -> Callable[[Any], Any] | None:
 
 
 def settling(cls: type) -> Callable[[Any, Sequence[Any]], Any]:
-    """A faster `snapshot` for new samples of a dataclass, given the values that they were made of, in order.
+    """A faster `snapshot` for new samples of a dataclass: a function of a sample and the values that it was made of.
 
-    The given values may travel already; only what the class made of them is checked.
+    These values are checked already, in the order of the fields; only values that the class changed are checked again.
     """
     fields, frozen = describe(cls).fields, cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
     known: dict[str, Any] = {"listed": _is_listed, "say_missing": _say_missing}
@@ -152,12 +152,12 @@ def settling(cls: type) -> Callable[[Any, Sequence[Any]], Any]:
 
 
 def _is_listed(value: Any, kept: Any) -> bool:
-    """Whether the value is a list of just the items of a tuple."""
+    """Whether the value is a list of exactly the items of the tuple `kept`."""
     return type(value) is list and type(kept) is tuple and len(value) == len(kept) and all(map(is_, value, kept))
 
 
 def _bounds(kind: Kind) -> tuple[type, Any, Any]:
-    """The class, and the range where there is one, of values that need no check."""
+    """The class of values that need no check, and their range, or None and None."""
     if isinstance(kind, IntKind):
         return int, kind.low, kind.high
     return (int, 0, STAMP_LIMIT - 1) if isinstance(kind, StampKind) else (kind.exact, None, None)
@@ -247,7 +247,7 @@ _restampers: dict[type, Callable[[Any, Any], Any]] = {}
 
 
 def _restamper(cls: type) -> Callable[[Any, Any], Any]:
-    """The function that copies samples of one class, its fields looked up once."""
+    """A function that copies samples of one class with another time stamp; the fields are looked up once."""
     structure = describe(original(cls))
     stamp = structure.field("tm")
     if not structure.has_tm:
@@ -308,8 +308,8 @@ def _array_field(structure: Structure) -> Field:
 def detached(sample: T) -> T:
     """A copy of `sample`, a record or another dataclass, that shares no array with anything its writer may have kept.
 
-    `copy.deepcopy` of a record is the record itself: right as long as its arrays are owned. A search for writers that
-    kept a view of their own array, as in the debug mode of ports, needs a copy that really is one.
+    `copy.deepcopy` returns a record itself, which is right while the record owns its arrays. The debug mode of ports
+    searches for writers that kept a view of their own array, and needs a real copy.
     """
     cls = type(sample)
     if cls in PLAIN_TYPES:

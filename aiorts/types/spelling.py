@@ -1,8 +1,8 @@
 """The annotations of a record's fields; nothing here checks anything.
 
-Scalars are plain types with a tag (`f64` is a float to a type checker). Sequences are spelled by what the reader gets:
-`Array[f64]` gives a numpy array, `Rows[Point3D]` an (n, k) array with record views, `Seq[str]` a tuple. They are
-descriptors to the type checkers only: that is how one field can accept a list and give back an array.
+Scalars are plain types with a tag (`f64` is a float to a type checker). The annotation of a sequence tells its type:
+`Array[f64]` gives a numpy array, `Rows[Point3D]` an (n, k) array with record views, `Seq[str]` a tuple. To
+type checkers alone these are descriptors, so that a field can accept a list and return an array.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Taken = TypeVar("Taken")
 
 
 class Tag(str):
-    """Names a kind inside `Annotated`; a class of its own so that foreign metadata is never taken for one."""
+    """Names a kind inside `Annotated`; its class tells it from the metadata of other libraries."""
 
     __slots__ = ()
 
@@ -81,7 +81,7 @@ wstr: TypeAlias = Annotated[str, Tag("str")]
 MapValue: TypeAlias = "bool | int | float | str | bytes | npt.ArrayLike | Mapping[str, MapValue]"
 
 EMPTY: Any = ()
-"""The default of a sequence field. Its type is Any: a field typed as a descriptor has no word for "empty"."""
+"""The default of a sequence field. Its type is Any, because no type of a default fits fields that are descriptors."""
 
 
 class Spelled(Generic[Given, Taken]):
@@ -100,8 +100,8 @@ class Spelled(Generic[Given, Taken]):
 class Array(Spelled["npt.NDArray[Any]", "npt.ArrayLike"], Generic[T]):
     """A one-dimensional number sequence.
 
-    Takes what numpy can read, gives a read-only array of exactly this element type. One that may be absent is
-    `npt.NDArray[np.float64] | None` to type checkers, which know such descriptors only outside of a union.
+    Takes what numpy can read, gives a read-only array of exactly this element type. Annotate an optional array as
+    `npt.NDArray[np.float64] | None`: type checkers support such descriptors only outside of a union.
     """
 
 
@@ -118,4 +118,4 @@ class Rows(Spelled["RecordArray[T]", "Iterable[T] | npt.NDArray[np.generic]"], G
 
 
 class Map(Spelled["Mapping[str, Any]", "Mapping[str, MapValue]"]):
-    """Text to scalar, array or such a map: takes a mapping, gives a read-only one of its own."""
+    """Text to scalar, array or such a map: takes a mapping, gives a read-only copy."""

@@ -1,7 +1,7 @@
-"""From annotations to structure: the fields of a record type, and the kind of each.
+"""Finds the structure of a record type: its fields, and the kind of each from its annotation.
 
-`describe(cls)` reads records, and plain dataclasses of any module when they are first used. A type that cannot travel
-is a DeclarationError that names the field and the annotation.
+`describe(cls)` reads record types, and plain dataclasses of any module when they are first used. A type that cannot
+travel is a DeclarationError that names the field and the annotation.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _BARE = (bool, int, float, str)
 
 
 class UnresolvedName(DeclarationError):
-    """An annotation has a name that does not exist, at least not yet."""
+    """A name in an annotation is not defined, at least not yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Field:
 
     @property
     def has_default(self) -> bool:
-        """Whether the constructor can do without it."""
+        """Whether the constructor can be called without the field."""
         return self.default is not MISSING or self.factory is not MISSING
 
     @property
@@ -121,7 +121,7 @@ def fields_of(cls: type) -> tuple[Field, ...]:
 
 
 def units_of(cls: type) -> dict[str, str]:
-    """The units of a record type's fields, by their paths without indices; fields without one are left out."""
+    """The units of a record type's fields, by their paths without indices; fields without a unit are left out."""
     found: dict[str, str] = {}
 
     def walk(kind: type, prefix: str, outer: str) -> None:
@@ -209,17 +209,17 @@ def resolve(cls: type) -> dict[str, Any]:
 
 
 def resolve_own(cls: type) -> dict[str, Any]:
-    """The annotations of `cls` itself as objects, and maybe inherited ones."""
+    """The annotations of `cls` as objects; the result may have inherited annotations, too."""
     own = inspect.get_annotations(cls)
     known = vars(builtins) | vars(sys.modules.get(cls.__module__, builtins))
-    # Nearly always names of the module: looking them up halves the time that 101 records of ours take at the import.
+    # Annotations are nearly always names of the module: this look-up halves the time of importing our 101 records.
     found = {name: known.get(text) for name, text in own.items() if isinstance(text, str)}
     plain = all(isinstance(kind, type) or get_origin(kind) is Annotated for kind in found.values())
     return found if plain and len(found) == len(own) and "<locals>" not in cls.__qualname__ else resolve(cls)
 
 
 def _locals_of(cls: type) -> dict[str, Any] | None:
-    """The variables of the function that defines `cls`, if it is running: its annotations may name them."""
+    """The local variables of the function that defines `cls`, which annotations may name; None if it is not running."""
     owner, local, _ = cls.__qualname__.rpartition(".<locals>.")
     if not local:
         return None
@@ -260,9 +260,9 @@ def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
 
 
 def _check_metadata(metadata: list[Any], where: str, owner: type | None) -> None:
-    """Raise DeclarationError for metadata of `Annotated` that aiorts would ignore; a text is a note, and allowed.
+    """Raise DeclarationError for metadata of `Annotated` that aiorts would ignore; a text is a note and is allowed.
 
-    Metadata of other libraries in a user's dataclass is theirs, and allowed; a plain value such as a length is not.
+    Metadata of other libraries is allowed in a user's dataclass; a plain value such as a length is not.
     """
     own = owner is not None and "__dataclass_fields__" not in owner.__dict__  # @record makes it a dataclass later
     for entry in metadata:
@@ -278,7 +278,7 @@ def _check_metadata(metadata: list[Any], where: str, owner: type | None) -> None
 
 _ENTRIES = {*NUMBERS, "str", "char", "wchar", "bytes"}
 
-# int is 64 bits wide because that is what travels; a bigger one is refused where the record is built
+# int is 64 bits wide, as on the wire; a bigger number is refused when the record is made
 _PLAIN: dict[Any, str] = {int: "i64", float: "f64", str: "str", bool: "bool", bytes: "bytes", bytearray: "bytes"}
 
 
@@ -304,7 +304,7 @@ def _generic(annotation: Any, where: str, owner: type | None) -> Kind | None:
 
 
 def _no_stamp(kind: Kind, where: str) -> Kind:
-    """The kind, which a field called `tm` cannot have: every tool takes that for the record's time stamp."""
+    """Return the kind unless the field is called `tm`, which must be a time stamp; raise DeclarationError then."""
     if where.rpartition(".")[2] == "tm":
         raise DeclarationError(
             f"{where}: a time stamp is an int (nanoseconds) and never absent, not {kind.spelling}; annotate it int, or "
@@ -331,7 +331,7 @@ def _literal(values: tuple[Any, ...], where: str) -> Kind:
 
 
 def _entry_kinds(annotation: Any, where: str, owner: type | None) -> tuple[Kind, ...]:
-    """The kinds of a map's values; none for all that can travel in one. Of a union, those that can travel.
+    """The kinds of a map's values: of a union, its parts that can travel; empty for every kind a map may hold.
 
     Raises:
         DeclarationError: a map of these values cannot travel: its values are scalars, arrays and maps.

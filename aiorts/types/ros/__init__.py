@@ -1,7 +1,7 @@
 """Messages of ROS 2 as records, by the names that ROS gives them: `sensor_msgs/Imu` is `aiorts.types.ros.Imu`.
 
-A module for each package of ROS. They are loaded when this is imported, or when a name such as `sensor_msgs/Imu` or
-`sensor_msgs/msg/Imu` is asked for; no bare name ("Imu", "Quaternion") ever means one of them.
+Each package of ROS has a module. All are loaded when this package is imported, or when a name such as `sensor_msgs/Imu`
+or `sensor_msgs/msg/Imu` is looked up. A bare name ("Imu", "Quaternion") never means a record of ROS.
 """
 
 from __future__ import annotations

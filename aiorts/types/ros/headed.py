@@ -19,7 +19,7 @@ class Headed(Stamped):
 
     @property
     def tm(self) -> int:
-        """The header's stamp in ns; 0, which is no time, for one before 1970."""
+        """The header's stamp in ns; 0, which means no time, for a stamp before 1970."""
         return max(0, self.header.stamp.ns)
 
     @property
@@ -39,7 +39,7 @@ def zeros(count: int) -> Any:
 
 
 def check_length(record: Any, count: int, *names: str) -> None:
-    """Raise RecordError if one of these arrays of a record has not `count` numbers."""
+    """Raise RecordError unless each of these arrays of a record has `count` numbers."""
     for name in names:
         if (length := len(getattr(record, name))) != count:
             raise RecordError(f"{type(record).__qualname__}.{name}: expected {count} numbers, got {length}")

@@ -11,5 +11,5 @@ _NAMES = tuple(full_name(cls) for name in ros.__all__ if hasattr(cls := getattr(
 
 
 def names(_: Any) -> tuple[str, ...]:
-    """The names, `package/Name`, for any name that is looked for."""
+    """All names, as `package/Name`, whatever name is looked up."""
     return _NAMES

@@ -60,7 +60,7 @@ class LaserScan(Headed):
 
 @record
 class Image(Headed):
-    """A picture as bytes, `step` of them a row; `encoding` says what a pixel is ("rgb8", "mono16")."""
+    """A picture as bytes, `step` bytes a row; `encoding` is the format of a pixel ("rgb8", "mono16")."""
 
     header: Header = Header()
     height: u32 = 0
@@ -82,7 +82,7 @@ class CompressedImage(Headed):
 
 @record
 class PointField:
-    """A value within each point of a PointCloud2: its name, first byte, type, and how many there are."""
+    """A value within each point of a PointCloud2: its name, first byte, type, and number of elements."""
 
     INT8: ClassVar[int] = 1
     UINT8: ClassVar[int] = 2
@@ -101,7 +101,7 @@ class PointField:
 
 @record
 class PointCloud2(Headed):
-    """Points as bytes, `point_step` of them each and `row_step` a row; `fields` says what lies where."""
+    """Points as bytes: `point_step` bytes a point, `row_step` bytes a row; `fields` describes those of a point."""
 
     header: Header = Header()
     height: u32 = 0
@@ -116,7 +116,7 @@ class PointCloud2(Headed):
 
 @record
 class JointState(Headed):
-    """Joints by name, and the position (rad or m), velocity and effort (Nm or N) of each; one not known is empty."""
+    """Joints by name, and the position (rad or m), velocity and effort (Nm or N) of each; unknown ones are empty."""
 
     header: Header = Header()
     name: Seq[str] = EMPTY
@@ -127,7 +127,7 @@ class JointState(Headed):
 
 @record
 class NavSatStatus:
-    """The kind of a satellite receiver's fix (STATUS_...), and the systems that it uses (SERVICE_..., added)."""
+    """The kind of a satellite receiver's fix (STATUS_...), and the systems it uses (a sum of SERVICE_...)."""
 
     STATUS_UNKNOWN: ClassVar[int] = -2
     STATUS_NO_FIX: ClassVar[int] = -1
