@@ -41,7 +41,7 @@ from aiorts.system.text.places import Key
 
 @dataclass(frozen=True, slots=True)
 class Blueprint:
-    """A system file with everything loaded and checked that is needed to build it once."""
+    """A system file with its types, settings and services loaded and checked; it can be built once."""
 
     system: SystemFile
     types: Mapping[str, type[Component]]
@@ -67,10 +67,10 @@ def prepare(
 
     Args:
         catalogue: the source of types; the default catalogue and the file's plugin folders by default.
-        services: settings by the name of a service; they win over those of its table, which need not be there.
+        services: settings by the name of a service; they win over those of its table in the file, which may be missing.
 
     Raises:
-        SystemFileError, PluginError, ConfigurationError, WiringError: names the place in the file, and the fault.
+        SystemFileError, PluginError, ConfigurationError, WiringError: the file has a fault; names its place.
     """
     found = survey(system, catalogue, services)
     _check_declared(found)
@@ -86,7 +86,7 @@ def prepare(
 
 
 def _refused(system: SystemFile, fault: Fault) -> AiortsError:
-    """A fault as the error to raise: with its place, and the line to quote."""
+    """The error to raise for a fault: with its place in the file, and the line to quote."""
     if fault.where.startswith("--") or not system.text:
         where = fault.where if fault.where.startswith("--") else f"{system.path}: {fault.where}"
         return type(fault.error)(f"{where}: {fault.error}").like(fault.error)
@@ -106,7 +106,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
 
     Raises:
         AiortsError: an error of `prepare`.
-        WiringError: a port does not exist, or does not fit the other.
+        WiringError: a port does not exist, or does not fit the port it is connected with.
         BaseException: an error of a component's `on_initialize`, with the component's name as a note.
     """
     plan = prepare(system) if isinstance(system, SystemFile) else system
@@ -171,7 +171,7 @@ async def _start(kernel: Kernel, plan: Blueprint) -> None:
                 async with patience.activating(name, *(part.name for part in flattened((component,)))):
                     await _activate(started[context.name], component)
     for rule in in_order(rules):
-        # A component that fails is in error; a rule that waits for it says so, unless it is helped in time.
+        # A component that fails is in error; a rule that waits for it reports that, unless it recovers in time.
         with contextlib.suppress(ComponentError):
             await kernel.service(Supervising).start_in_order([rule], patience)
 
@@ -183,7 +183,7 @@ def _options(plan: Blueprint, connection: ConnectionEntry) -> Mapping[str, Any]:
 
 
 async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
-    """Create a component with its sets in force before its first hook, and supervised before it can fail."""
+    """Create a component; its configuration is set before its first hook runs, its supervision before it can fail."""
     cls, setting, entry = plan.types[name], plan.settings[name], plan.system.components[name]
     for service in kernel.services:
         if (other := service.in_place_of(name, cls, partial(setting.make, cls, name))) is not None:
@@ -207,7 +207,7 @@ async def _compose(kernel: Kernel, system: SystemFile, entry: CompositeEntry) ->
 
 
 def _check_members(kernel: Kernel, plan: Blueprint) -> None:
-    """Refuse members that their context cannot run, before any context runs: the fault is the file's."""
+    """Refuse members that their context cannot run, as a fault of the file, before any context runs."""
     for entry in plan.system.contexts.values():
         for name in entry.members:
             try:
@@ -252,7 +252,7 @@ def _place_of(system: SystemFile, name: str, error: AiortsError) -> str:
 
 
 def _blamed(connection: ConnectionEntry, why: str) -> Key:
-    """The place of the end that an error is about: the first in-port that it names, else the first in-port."""
+    """The place of the in-port that an error is about: the first one that the message names, else the first of all."""
     named = (number for number, path in enumerate(connection.ports) if number and f"{path}:" in why)
     return end_key(connection, next(named, 1))
 

@@ -1,6 +1,6 @@
-"""Finds out when a system has ended of itself: its sources are done, and none of their samples is still on its way.
+"""Finds out when a system has ended by itself: its sources are done, and none of their samples is still on its way.
 
-A source is a component that produces of itself: it has an out-port and none of its in-ports was ever connected. It is
+A source is a component that writes without input: it has an out-port and none of its in-ports was ever connected. It is
 done when it has finished, or is in error and supervision does not help it, or was removed, or its contexts have stopped
 or were ended by a fault. A source that is merely not active is not done: it waits for its start, or was deactivated and
 may be activated again. To end it for good, remove it, stop its context, or ask for the end.
@@ -27,22 +27,22 @@ from aiorts.supervision import ComponentRecovered, RestartLimitReached
 
 _LOOK_AGAIN: Final = 0.005
 _PATIENCE: Final = 1.0
-"""Seconds without any movement after which unread samples are taken for unwanted ones."""
+"""Seconds without a new sample or running hook after which unread samples count as unwanted."""
 _TOLD: Final = 1.0
 """Seconds of waiting for unread samples after which the waiting is reported."""
 Slow: TypeAlias = Callable[[Sequence[Connector]], float | None]
-"""Called once readers have been slow to read their last samples, with the connectors that have these. Returns the
-longest further waiting for them, in seconds; None: as long as they read."""
+"""Called when readers are slow to read their last samples, with the connectors that hold these samples. Returns how
+many more seconds to wait for the readers at most; None: as long as they go on reading."""
 _NOTED: Final = (StateChanged, ComponentRemoved, ContextStopped, ComponentRecovered, RestartLimitReached)
 
 
 def is_source(component: Component) -> bool:
-    """Whether a component produces of itself."""
+    """Whether a component is a source: it writes without input."""
     return any(isinstance(port, OutPort) for port in component.ports.values()) and not _is_fed(component)
 
 
 def ended_in_error(kernel: Kernel) -> dict[str, BaseException | None]:
-    """The components in error, by name, each with its exception; for a composite its members."""
+    """The components in error, by name, each with its exception; for a composite, its members."""
     parts = [one for one in kernel.components.values() if as_group(one) is None]
     gone = [one for name, one in kernel.supervised.items() if name not in kernel.components]
     failed = {one.name: one.last_error for one in parts if LifecycleState.ERROR in one.states.values()}
@@ -53,9 +53,9 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
     """Wait until every source is done, no recovery is due, the queues are empty and no hook runs.
 
     Without a source, every component has to be done. A component with in-ports and no connection at all counts as a
-    source only where there is no other. Returns the connectors with samples that their readers left alone: the waiting
-    for them ends when nothing has moved for a second. Samples whose readers' contexts have stopped do not count.
-    Components and contexts that were removed or stopped before the call are not known: `Ending` observes them.
+    source only if there is no other source. Returns the connectors with samples that their readers did not read while
+    nothing moved for a second. Samples whose readers' contexts have stopped do not count. Components and contexts that
+    were removed or stopped before the call are not known; `Ending` observes them from its creation on.
     """
     ending = Ending(kernel)
     try:
@@ -65,7 +65,7 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 
 
 class Ending:
-    """Observes from now on the components that are removed and the contexts that stop; `wait` uses it later."""
+    """Observes, from its creation on, removed components and stopped contexts; `wait` uses these observations."""
 
     def __init__(self, kernel: Kernel, slow: Slow = lambda _: None) -> None:
         self._kernel = kernel
@@ -75,7 +75,7 @@ class Ending:
         self._removers = [kernel.bus.subscribe(kind, self._note) for kind in _NOTED]
 
     async def wait(self) -> tuple[Connector, ...]:
-        """Wait as `wait_finished` does, and for slow readers no longer than `slow` says."""
+        """Wait as `wait_finished` does, but for slow readers at most as long as `slow` returns."""
         while True:
             while not self._look.ended():
                 await self._changed.wait()
@@ -95,21 +95,21 @@ class Ending:
 
 
 class _Look:
-    """The knowledge about the components of a kernel, from one look to the next."""
+    """Records of the components of a kernel and their past, from which `ended` decides."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self._fed: set[str] = set()
-        """Components that were ever connected to a writer: they produce nothing of themselves when it has gone."""
+        """Components that were ever connected to a writer: they are no sources, even after the writer is removed."""
         self._finished: set[str] = set()
-        """Finished components, by name: a component that leaves a context, or gets other code, forgets it."""
+        """The names of finished components, kept after a component leaves its context or gets other code."""
         self._sources: set[str] = set()
-        """Components that were sources, also removed ones."""
+        """The names of the sources, removed ones included."""
         self._contexts: dict[str, set[str]] = {}
-        """The contexts in which each component that ran was seen last, without those that have stopped."""
+        """By component that ran: its last known contexts, except those that have stopped."""
 
     def note(self, event: Event) -> None:
-        """Take note of an event of a component, or of a context and all its members."""
+        """Record an event of a component, or the stop of a context."""
         if isinstance(event, ContextStopped):
             for contexts in self._contexts.values():
                 contexts.discard(event.context)
@@ -124,9 +124,9 @@ class _Look:
             self._finished.add(name)
 
     def ended(self) -> bool:
-        """Whether no component produces any more, and none that might is about to be recovered."""
+        """Whether all sources are done, and supervision is not recovering a component."""
         kernel = self._kernel
-        # A composite is its members, and no source in addition to them.
+        # A composite is not counted: its members are.
         runs = [one for one in kernel.components.values() if one.contexts and as_group(one) is None]
         for one in runs:
             self._see(one)
@@ -144,12 +144,12 @@ class _Look:
         return all(map(self._done, runs)) if runs else bool(off) and len(off) == len(self._contexts)
 
     def is_off(self, name: str) -> bool:
-        """Whether a component ran and never will again: it was removed, or each context it was in has stopped."""
+        """Whether a component that ran will not run again: it was removed, or each of its contexts has stopped."""
         component = self._kernel.components.get(name)
         return component is None or (not component.contexts and self._contexts.get(name) == set())
 
     def _see(self, component: Component) -> None:
-        """Take note of a component that is in a context."""
+        """Record the contexts of a component, and whether it is a source."""
         name = component.name
         self._contexts[name] = {context.name for context in component.contexts}
         if _is_fed(component):
@@ -160,13 +160,13 @@ class _Look:
             self._sources.discard(name)
 
     def _done(self, component: Component) -> bool:
-        """Whether a component will not go on; no recovery is due."""
+        """Whether a component will not go on, given that no recovery is due."""
         states = component.states.values()
         if LifecycleState.ACTIVE in states:
             return False
         if LifecycleState.ERROR in states or component.name in self._finished or component.has_finished:
             return True
-        # A component stopped for a failed member of its composite goes on only with that member.
+        # A component that was stopped because a member of its composite failed goes on only with that member.
         return any(self._is_dead(name) for member in cell(component).members for name in member.stopped_for)
 
     def _is_dead(self, name: str) -> bool:
@@ -185,7 +185,7 @@ def _left_alone(component: Component) -> bool:
 
 
 async def _settled(kernel: Kernel, look: _Look, slow: Slow) -> tuple[Connector, ...]:
-    # Periods are in the kernel's time, and this loop looks again in real time.
+    # Periods are in the kernel's time, but this loop sleeps in real time.
     longest = max((2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0)
     patience = _PATIENCE + longest / kernel.clock.speed
     seen, still = -1, 0.0
@@ -220,7 +220,7 @@ def _is_under_way(connector: Connector) -> bool:
 
 
 def _repeats(context: Context) -> bool:
-    """Whether a context runs its members without work, too: a cycle begun after the last sample is no work left."""
+    """Whether a context runs its members without samples, too: then a cycle after the last sample is no work."""
     return isinstance(context, EventContext) and context.every is not None
 
 
@@ -231,11 +231,11 @@ def _threads_wait(kernel: Kernel) -> bool:
 
 
 def _is_cancelled(kernel: Kernel) -> bool:
-    """Whether a goal that its client has given up still has the time to end in order."""
+    """Whether a goal that its client cancelled is still ending."""
     keeper = kernel.attached(GoalKeeper)
     return keeper is not None and keeper.cancelling
 
 
 def _is_busy(context: Context) -> bool:
-    """Whether a hook runs, or an effect of one, such as a failure, is still to be handled."""
+    """Whether a hook runs, or an effect of a hook, such as its failure, is not handled yet."""
     return context.running and (context.runner.current is not None or context.runner.pending)

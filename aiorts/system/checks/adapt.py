@@ -1,4 +1,4 @@
-"""The FlexiFilter that would join two ports which do not fit, as text for the file; FlexiFilter itself is asked."""
+"""Finds the FlexiFilter that would join two unfit ports, as text for the file; FlexiFilter itself checks that."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Adaptation:
 
 
 def adaptation(found: Survey, connection: ConnectionEntry, out: OutPort[Any], in_: InPort[Any]) -> Adaptation | None:
-    """The entry of a FlexiFilter between these two ports; None where no known one joins them."""
+    """The entry of a FlexiFilter between these two ports; None if no known filter joins them."""
     proposed = between(out, in_)
     if proposed is None or not proposed.entries or not is_accepted(found.catalogue, proposed):
         return None

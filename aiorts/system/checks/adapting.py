@@ -1,6 +1,6 @@
-"""Puts a FlexiFilter between ports of a system file that do not fit, where their connection says `adapt = true`.
+"""Puts a FlexiFilter between ports of a system file that do not fit, if their connection has `adapt = true`.
 
-From then on the system has it like any other component: it is checked, drawn, planned, built and saved.
+The filter is then a component like any other: it is checked, drawn, planned, built and saved with the system.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ class Adapted:
     drafts: Mapping[str, Draft]
     """The inserted components."""
     said: tuple[Said, ...]
-    """The findings: which filter was put where."""
+    """The findings that report each inserted filter and its place."""
 
 
 _NONE = Adapted(MappingProxyType({}), ())
 
 
 def adapted(found: Survey, drafts: Mapping[str, Draft] | None = None) -> Adapted:
-    """Add the filters to the system of the survey; a place where there can be none is a fault of the survey.
+    """Add the filters to the system of the survey; a connection that cannot have one becomes a fault of the survey.
 
     Args:
-        drafts: the drafts of its components and composites; made where they are needed and not given.
+        drafts: the drafts of the system's components and composites; made here by default, if a filter is needed.
     """
     wanting = {one.number for one in found.system.connections if _wants(found, one)}
     if not wanting:
@@ -63,7 +63,7 @@ def _wants(found: Survey, connection: ConnectionEntry) -> bool:
 
 
 class _Work:
-    """Goes through the connections of one survey."""
+    """Inserts filters into the connections of one survey."""
 
     def __init__(self, found: Survey, drafts: dict[str, Draft]) -> None:
         self._found = found
@@ -71,7 +71,7 @@ class _Work:
         self.said: list[Said] = []
 
     def connection(self, entry: ConnectionEntry) -> Iterator[ConnectionEntry]:
-        """The connections that take the place of one."""
+        """The connections, to filters and from them, that replace this one."""
         options = {word: value for word, value in entry.options.items() if word != "adapt"}
         plain = replace(entry, options=MappingProxyType(options))
         try:
@@ -107,7 +107,7 @@ class _Work:
         self._found.say(self._key(entry), type(error)(text), of_key=True)
 
     def _pairs(self, entry: ConnectionEntry) -> list[tuple[tuple[str, OutPort[Any]], tuple[str, InPort[Any]]]]:
-        """Each out-port with each in-port; none where a fault of these ports has been reported already."""
+        """Each out-port with each in-port; no pair if another check reports a fault of these ports."""
         if entry.options.get("convert"):
             raise WiringError("convert makes them fit already; take one of the two away")
         ports = {path: self._port(path) for path in entry.ports}
@@ -123,7 +123,7 @@ class _Work:
         raise WiringError(f"the ports of {name} are known only when it runs; put a {FILTER} of your own between them")
 
     def _filter(self, out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
-        """The filter to put between two ports; None where they fit, or no known filter joins them."""
+        """The filter to put between two ports; None if the ports fit, or no known filter joins them."""
         if next(pair_faults(out, in_), None) is None:
             return None
         if FILTER not in self._found.catalogue.extensions("components"):
@@ -132,7 +132,7 @@ class _Work:
         return between if between is not None and is_accepted(self._found.catalogue, between) else None
 
     def _insert(self, between: Between, out: OutPort[Any], in_: InPort[Any]) -> str:
-        """Add the component, before its reader in the reader's context."""
+        """Add the filter as a component, before its reader in the reader's context; returns its name."""
         found = self._found
         system = found.system
         reader = in_.path.partition(".")[0]

@@ -1,6 +1,6 @@
 """Everything that can be known of a system file without running it: all findings at once, each with its place.
 
-Component files and plugins are imported and components constructed, as running would; no hook runs, nothing is opened.
+Component files and plugins are imported and components constructed, as in a run; no hook runs, nothing is opened.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def check_text(
     plugins: Iterable[Path] = (),
     choices: Choices = AS_WRITTEN,
 ) -> tuple[Finding, ...]:
-    """Check a text, such as an editor has; `path` is the file into which it would be saved."""
+    """Check a text, such as the unsaved text of an editor; `path` is the file that the text belongs to."""
     try:
         system, mistakes = read(text, path, overrides, choices)
     except SystemFileError as error:
@@ -70,7 +70,7 @@ def check_text(
         for one in system.notes
     ]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
-    # A component with a mistake in its entry gets no draft: its fault would be reported twice.
+    # A component with a mistake in its entry gets no draft: the draft would report the mistake again.
     drafts = drafts_of(found, _marred(mistakes, "components"))
     composed = compositions(system, drafts, _marred(mistakes, "composites"))
     said += composed.said
@@ -85,11 +85,11 @@ def check_text(
     drafts |= between.drafts
     every |= between.drafts
     said += joint_findings(found, every)
-    # Findings about the whole name the parts that run, in the place of their composites.
+    # Findings about the whole system name the components that run, in the place of their composites.
     found.system = with_parts(leaf_paths(found.system, every))
     said += _of_members(found, drafts)
     said += feature_findings(found)
-    # Where the ports of a composite are not known, the connections of its members' ports are not known either.
+    # If the ports of a composite are not known, the connections of its members' ports are not known either.
     vague = {part for name, one in composed.drafts.items() if one.error for part in parts(system.composites, name)}
     known = {name: one for name, one in drafts.items() if name not in vague}
     said += whole_findings(found, known, whole=not mistakes and found.services.keys() >= system.services.keys())
@@ -97,12 +97,12 @@ def check_text(
 
 
 def _marred(mistakes: Iterable[Mistake], table: str) -> set[str]:
-    """The names of a table's entries that have mistakes; mistakes of the table itself have been reported."""
+    """The names of those entries of a table that have mistakes."""
     return {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == (table,) and mistake.key[1:]}
 
 
 def _of_members(found: Survey, drafts: dict[str, Draft]) -> Iterable[Said]:
-    """Members that their context cannot run."""
+    """The findings about members that their context cannot run."""
     for entry in found.system.contexts.values():
         context = found.contexts.get(entry.name)
         for name in entry.members:
@@ -119,7 +119,7 @@ def _of_members(found: Survey, drafts: dict[str, Draft]) -> Iterable[Said]:
 
 
 def of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
-    """A component that cannot have its ports: the parameter that is to blame, and the place in its text."""
+    """The finding about a component that cannot make its ports, at the parameter to blame and the place in its text."""
     entry = system.components[name]
     message = str(error).removeprefix(f"{name}: ")
     what, text, offset = _typed(error)
@@ -131,7 +131,7 @@ def of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
 
 
 def _typed(error: AiortsError) -> tuple[str, str, int]:
-    """The typed text that an error is about, if any: its name, the text, and the place of the wrong character."""
+    """The name, text and wrong character's place of the user's text that an error is about; empty if there is none."""
     known: Any = error
     if isinstance(getattr(known, "place", None), int):
         return str(getattr(known, "what", "")), str(known.text), int(known.place)

@@ -1,7 +1,7 @@
-"""Circles of components that run on events: those that keep themselves busy forever, or wait for themselves. Pure.
+"""Finds circles of components that run on events: circles that are busy forever, or wait for themselves. Pure.
 
-A circle has one finding: with a sample in it, it never rests (W-LOOP); where no component begins, it stands still
-(N-CIRCLE).
+A circle has one finding: it never rests once a sample is in it (W-LOOP), or stands still because no component writes
+the first sample (N-CIRCLE).
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ _ON_ACTIVATED: Final = "on_activated"
 _ON_EXECUTE: Final = "on_execute"
 _SLEEPS: Final = frozenset({"sleep", "sleep_until"})
 _BY_THEMSELVES: Final = ("on_initialize", "on_startup", _ON_ACTIVATED)
-"""Hooks that run though no sample came, and may write the first one."""
+"""Hooks that run without a sample, and so may write a circle's first sample."""
 BEGIN: Final = (
     "write the first one in on_activated, to a connection with keep_last = true, or put one of them into a periodic "
     "context"
 )
-"""The advice for a circle that no component begins."""
+"""The advice for a circle in which no component writes the first sample."""
 
 
 def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
-    """One finding for each circle; `whole` is False when parts were left out, which may begin one."""
+    """One finding for each circle; `whole` is False when parts were left out, which may start a circle."""
     waiting = _Beginning(found, drafts).waiting() if whole else _Waiting({}, {})
     for path, number, members in cycles(waiting.edges):
         doubts = _doubts(waiting.doubts(members))
@@ -50,7 +50,7 @@ def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) 
 
 
 def _doubts(hooks: Iterable[tuple[str, str]]) -> str:
-    """The clause about components that may begin a circle all the same, grouped by hook."""
+    """The clause about components that may write a circle's first sample after all, grouped by hook."""
     names: dict[str, list[str]] = {}
     for name, hook in hooks:
         names.setdefault(hook, []).append(name)
@@ -59,10 +59,10 @@ def _doubts(hooks: Iterable[tuple[str, str]]) -> str:
 
 
 def _loops(found: Survey, drafts: Mapping[str, Draft], without: Collection[str]) -> Iterator[Said]:
-    """Cycles whose members are all in event contexts alone: with one sample in it, such a cycle never rests.
+    """The findings about cycles that one sample keeps busy forever: all members run in event contexts only.
 
-    A connector that the reader pulls wakes no component, and one of a period is paced: neither is part of such a cycle.
-    Nor is a connection of a port that is not there; and a member that sleeps paces its cycle.
+    Such a cycle has no pulled connector, which wakes no reader; no periodic one, which is paced; no connection of a
+    port that does not exist; and no component that sleeps in on_execute, which paces the cycle.
     """
     eager = {name for name, those in contexts_of(found).items() if all(isinstance(one, EventContext) for one in those)}
     eager -= {name for name, one in drafts.items() if _sleeps_itself(one.component)}
@@ -94,16 +94,16 @@ def _sleeps_itself(component: Component | None) -> bool:
 
 
 class _Waiting:
-    """Components that wait for a sample of one another, while none is sent to them."""
+    """Components that wait for a sample from one another, and get none from outside."""
 
     def __init__(self, edges: Edges, early: Mapping[str, str], hooks: Mapping[str, str] | None = None) -> None:
         self.edges = edges
         self.early = early
-        """The way in which the first sample of a component is lost, by its name."""
+        """An explanation of how a component's first sample is lost, by the name of the component."""
         self._hooks = hooks or {}
 
     def doubts(self, members: Collection[str]) -> Iterator[tuple[str, str]]:
-        """The members with a hook that runs by itself and seems to write nothing, and that hook."""
+        """The members that have a hook which runs by itself but seems to write nothing; each with that hook."""
         return ((name, self._hooks[name]) for name in members if name in self._hooks)
 
 
@@ -143,7 +143,7 @@ class _Beginning:
         return _Waiting(left, self._early, hooks)
 
     def _sleeps(self, name: str, one: Draft, comes: Callable[[str, Port[Any]], bool]) -> bool:
-        """Whether a component runs only because a sample came, or in a hook that runs once."""
+        """Whether a component runs only when a sample comes, apart from hooks that run once."""
         fed = any(isinstance(port, ServicePort) or _is_fed(name, port, comes) for port in one.ports.values())
         contexts = self._contexts.get(name, [])
         sleeps = all(isinstance(context, EventContext) and context.every is None for context in contexts)
@@ -158,12 +158,12 @@ class _Beginning:
         return component is not None and cell(component).hook_kinds[hook] != HookKind.ABSENT
 
     def _does(self, name: str, hook: str) -> bool:
-        """Whether a component has the hook, and its code uses any name, unlike `pass` or a docstring alone."""
+        """Whether a component has the hook, and the hook's code uses a name: `pass` or a docstring uses none."""
         component = self._drafts[name].component
         return component is not None and self._has(name, hook) and bool(names_of(type(component), hook))
 
     def _begins(self, writer: str, reader: str, out: str, connection: ConnectionEntry) -> bool:
-        """Whether a hook of the writer that runs by itself may write to this port, and the reader gets it."""
+        """Whether a hook of the writer that runs by itself may write to this port a sample that the reader gets."""
         component, port = self._drafts[writer].component, out.partition(".")[2]
         for hook in _BY_THEMSELVES:
             if component is None or not self._has(writer, hook) or not may_write(component, hook, port):
@@ -174,7 +174,7 @@ class _Beginning:
         return False
 
     def _is_early(self, writer: str, reader: str, connection: ConnectionEntry) -> bool:
-        """Whether the reader is surely not active when the writer is activated, and is given no sample later."""
+        """Whether the reader is surely activated after the writer, over a connector that keeps no sample for later."""
         system, profile = self._found.system, self._found.profiles.get(connection.number)
         ends = [root(system.composites, name) for name in (writer, reader)]
         if profile is None or profile[0].keep_last or any(system.components[name].start for name in (writer, reader)):

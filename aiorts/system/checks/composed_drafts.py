@@ -1,4 +1,4 @@
-"""The ports that composites of a system file will show, found out from their members' drafts; nothing is composed."""
+"""Finds the ports that composites of a system file will show, from their members' drafts; no composite is made."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Composition:
 
 
 def compositions(system: SystemFile, drafts: Mapping[str, Draft], broken: Collection[str] = ()) -> Composition:
-    """The composites, inner ones first, on top of the drafts of the components; nothing is known of `broken` ones."""
+    """The drafts of the composites, made from those of their members, inner ones first; `broken` ones get no ports."""
     found: dict[str, Draft] = {}
     said: list[Said] = []
     for entry in inner_first(system.composites):
@@ -47,7 +47,7 @@ def compositions(system: SystemFile, drafts: Mapping[str, Draft], broken: Collec
 
 
 def leaf_paths(system: SystemFile, drafts: Mapping[str, Draft]) -> SystemFile:
-    """The system with the members' own ports in the place of those that composites show, as far as they are known."""
+    """The system with connections of the members' own ports, as far as known, in the place of the composites' ports."""
     if not system.composites:
         return system
     own = {
@@ -81,7 +81,7 @@ def _draft(entry: CompositeEntry, members: Mapping[str, Draft], said: list[Said]
 
 
 def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete: bool) -> Iterator[Said]:
-    """The findings about rules for a port that does not exist, and patterns that fit none."""
+    """The findings about `exported` entries for a port that does not exist, and patterns that match no port."""
     ports = [f"{name}.{port}" for name, one in members.items() for port in one.ports]
     for number, pattern in enumerate(entry.exported):
         rule = exports([pattern], entry.name)[0]

@@ -1,4 +1,4 @@
-"""The findings about each connection once the ports at its ends are known; it connects nothing."""
+"""Finds the faults of each connection once the ports at its ends are known; connects nothing."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
 
 
 def feature_findings(found: Survey) -> Iterator[Said]:
-    """The findings about options that real-time threads do not have at their ports."""
+    """The findings about options that ports of components in real-time threads do not support."""
     threads = {
         member: context.kind
         for name, context in found.contexts.items()
@@ -82,7 +82,7 @@ def feature_findings(found: Survey) -> Iterator[Said]:
 
 
 def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
-    """The finding about options for OpenRTM's transports: one for the whole file, at the first of them."""
+    """The finding about options for OpenRTM's transports: one for the whole file, at the first such option."""
     keys: dict[str, Key] = {}
     for connection in connections:
         for option in without_effect(connection.options):
@@ -92,7 +92,7 @@ def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
 
 
 def _link(found: Survey, connection: ConnectionEntry, *, from_reader: bool) -> Iterator[Said]:
-    """The findings about a link: options that the other kernel has to carry out, and the port that is not known yet."""
+    """The findings about a link: options that the other kernel has to implement, and ports that are not known yet."""
     far = [number for number, path in enumerate(connection.ports) if names_kernel(path)]
     if far and from_reader and connection.number in found.profiles:
         try:
@@ -182,7 +182,7 @@ def _ends(
                     text = str(error).removeprefix(f"{out.path} -> {in_.path}: ")
                     yield Said("error", WiringError.code, (*_key(connection), "convert"), text)
             for fault in pair_faults(out, in_, converted="convert" in connection.options):
-                # One filter mends all faults between the two ports.
+                # One filter mends all faults between the two ports, so it is suggested once.
                 mended = None if told else adaptation(found, connection, out, in_)
                 text = fault.removeprefix(f"{out.path} -> {in_.path}: ")
                 if mended is not None:
@@ -213,7 +213,7 @@ def _limits(
     joined: ConnectedPairs,
     counts: dict[str, int],
 ) -> Iterator[Said]:
-    """The findings about pairs that are connected already, and ports with more connectors than they take."""
+    """The findings about pairs that are connected already, and ports with more than `max_connectors` connectors."""
     _, limits = found.profiles.get(connection.number, (None, None))
     for out in (port for port in ports if isinstance(port, OutPort)):
         for in_ in (port for port in ports if isinstance(port, InPort)):

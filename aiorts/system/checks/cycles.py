@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 Edges: TypeAlias = Mapping[str, Mapping[str, tuple[str, str, int]]]
-"""The ports between a writer and a reader, and the number of their connection, by writer and reader."""
+"""By writer and reader: the out-port and in-port that join them, and the number of the connection."""
 _MOST_NAMED: Final = 12
 """The most ports of a cycle that a message names."""
 
 
 def cycles(edges: Edges) -> Iterator[tuple[str, int, list[str]]]:
-    """A cycle of each component that is in none before: its ports, the number of its last connection, components."""
+    """A cycle through each component that no earlier cycle has: its ports, last connection's number, and components."""
     told: set[str] = set()
     for start in edges:
         if start in told or not (cycle := _cycle(edges, start)):

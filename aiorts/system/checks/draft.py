@@ -1,8 +1,8 @@
-"""The ports a component will have, known without a kernel: it is constructed and given its parameters, no hook runs.
+"""Finds the ports a component will have, without a kernel: the component is made with its parameters, and no hook runs.
 
-A component whose ports follow its parameters makes them in a method `make_ports`, which its `on_initialize` calls and
-which does nothing else; here it is called alone. A component that overrides `on_initialize` without having one may make
-ports there, so that a port that is not declared cannot be judged.
+A component whose ports depend on its parameters makes its ports in a method `make_ports`, which its `on_initialize`
+calls and which does nothing else; only that method is called here. A component that overrides `on_initialize` and has
+no `make_ports` may make any ports there: then a port that is not declared may exist, or may not.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from aiorts.system.file.survey import Survey
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A component that belongs to no kernel and never will."""
+    """A component made only for its ports, which never belongs to a kernel."""
 
     component: Component | None
     ports: Mapping[str, Port[Any]]
@@ -35,19 +35,19 @@ class Draft:
 def drafts_of(found: Survey, without: Collection[str] = ()) -> dict[str, Draft]:
     """The drafts of a system's components except `without`, as far as their ports are known.
 
-    A component with a wrong parameter gets the others alone; its ports are not known where parameters make them.
+    A component with a wrong parameter is made with the other parameters; if it has `make_ports`, it gets no draft.
     """
     made = {
         name: draft(cls, name, found.settings[name])
         for name, cls in found.types.items()
         if name not in without and not (name in found.bad_params and hasattr(cls, "make_ports"))
     }
-    # Errors that follow from a wrong parameter have been reported with the parameter.
+    # An error of a component with a wrong parameter follows from that parameter, which has been reported.
     return {name: one for name, one in made.items() if one.error is None or name not in found.bad_params}
 
 
 def draft(cls: type[Component], name: str, setting: Setting) -> Draft:
-    """A component of this class with this configuration, checked already, as a system will have it."""
+    """The draft of a component of this class with this configuration, which has been checked."""
     make = getattr(cls, "make_ports", None)
     try:
         component = setting.make(cls, name)
@@ -67,7 +67,7 @@ def draft(cls: type[Component], name: str, setting: Setting) -> Draft:
 
 
 def _of(component: Component) -> Draft:
-    """The draft of a constructed component; a composite whose class makes its members will show ports of them."""
+    """The draft of a constructed component; that of a composite has the ports it exports from members."""
     cls = type(component)
     complete = hasattr(cls, "make_ports") or cls.on_initialize is Component.on_initialize
     group = group_of(component)

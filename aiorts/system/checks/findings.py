@@ -1,4 +1,4 @@
-"""The findings of a check, as frozen values and as text; this file finds nothing itself."""
+"""The findings of a check, as frozen values and as text; the checks themselves are in other modules."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SEVERITIES: Final = ("error", "warning", "note")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing to know about a system file before it runs.
+    """An error, warning or note about a system file.
 
     `line` and `column` count from 1, in characters; they are 0 for a finding about the file as a whole. `where` is
     the key, as in "contexts.loop.rate". `width` is the length of the place.
@@ -40,7 +40,7 @@ class Finding:
     quote: str = ""
     """The line of the file."""
     suggestion: str = ""
-    """Text for the file that would mend the fault."""
+    """Text that mends the fault when it is put into the file."""
     copies: int = 0
     """The number of further copies of a repeated part with the same finding."""
 
@@ -51,7 +51,7 @@ class Finding:
 
     @property
     def mended(self) -> str:
-        """The corrected text of the place, where the message knows it; else ""."""
+        """The corrected text of the place if the message suggests a name; else ""."""
         if found := _MISSING.search(self.message):
             return found[1]
         found = _MEANT.search(self.message)
@@ -69,7 +69,7 @@ class Finding:
         return f"{cause}; {self.remedy}" if self.remedy else cause
 
     def plain(self) -> dict[str, Any]:
-        """The finding as JSON has it."""
+        """The finding as plain data for JSON."""
         words = ("line", "column", "width", "where", "cause", "remedy")
         head = {"severity": self.severity, "code": self.code, "file": str(self.path)}
         found = {word: getattr(self, word) for word in words}
@@ -91,7 +91,7 @@ class Said:
 
 
 def _once(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings without repetitions: of a repeated part's copies in one place the first, counting the others."""
+    """The findings without repetitions: of the copies of a repeated part only the first, with the others' number."""
     alike: dict[tuple[object, ...], list[Finding]] = {}
     for one in dict.fromkeys(findings):
         said = _NUMBER.sub("#", one.where), _NUMBER.sub("#", one.cause)
@@ -107,7 +107,7 @@ def _once(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def in_order(findings: Iterable[Finding], files: Sequence[Path]) -> tuple[Finding, ...]:
-    """The findings in the order of the files, in one place the worse first; each once, also of repeated parts."""
+    """The findings in the order of the files and places, at one place the worst first, without repetitions."""
     unique = _once(findings)
     order = {path: number for number, path in enumerate(files)}
     return tuple(

@@ -1,7 +1,7 @@
 """Mends the text of a system file where a finding of a check has one answer: `aiorts check --fix`.
 
-Three findings have one: a name for which a similar one is meant; a `schema` that is missing; and a member of a shared
-context that has a process of its own, which needs a context of its own. The rest of the text, its comments too, stays.
+Three findings have one answer: a misspelt name that is similar to a known one; a missing `schema`; and a member with a
+process of its own in a shared context, which needs its own context. The rest of the text, its comments too, stays.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from aiorts.system.checks.findings import Finding
 from aiorts.system.text.places import Place, places_of
 
 Edit: TypeAlias = tuple[int, int, str]
-"""A change of the text: begin and end of a stretch, and what takes its place."""
+"""A change of the text: begin and end of a part of it, and the new text for that part."""
 _ROUNDS: Final = 10
-"""The most rounds of mending: a mended type shows which of its ports are misspelt, and so on."""
+"""The most rounds of mending: only once a type is mended, its misspelt ports are found, and so on."""
 _AFTER: Final = re.compile(r"[ \t]*,[ \t]*")
 _BEFORE: Final = re.compile(r",[ \t]*\Z")
 
 
 def fixed(text: str, path: Path, check: Callable[[str], Sequence[Finding]]) -> tuple[str, tuple[Finding, ...]]:
-    """The text with all faults mended that have one answer, and the findings about it then.
+    """The text with all faults mended that have one answer, and the findings about the mended text.
 
-    A change after which there are more errors than before is not made.
+    A change that would lead to more errors than before is not made.
 
     Args:
         path: the file of the text; faults in files that it includes are left alone.
@@ -54,7 +54,7 @@ def _errors(found: Iterable[Finding]) -> int:
 
 
 def _edited(text: str, edits: Iterable[Edit]) -> str:
-    """The text with these changes; one that overlaps another is left out."""
+    """The text with these changes; a change that overlaps another is left out."""
     end = len(text)
     for start, stop, new in sorted(set(edits), reverse=True):
         if stop <= end:
@@ -76,7 +76,7 @@ def _respelt(wrong: Iterable[Finding], text: str) -> list[Edit]:
 
 
 def _set_apart(wrong: Iterable[Finding], text: str) -> list[Edit]:
-    """The changes that give the last isolated member a context of its own, in the first context that needs it."""
+    """The changes that move a member with a process of its own from the first shared context to a new context."""
     tables = _tables(text)
     if tables is None:
         return []
@@ -113,7 +113,7 @@ def _is_isolated(components: Any, member: object) -> bool:
 
 
 def _tables(text: str) -> dict[str, Any] | None:
-    """The tables of the text; None for a text that is no TOML, in which nothing has a place."""
+    """The tables of the text; None for a text that is no TOML."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:

@@ -1,4 +1,4 @@
-"""The names in the code of hooks, which show the possible effects of a hook without running it."""
+"""Finds the names in the code of a hook, which show its possible effects without running it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from aiorts.kernel.declarations import declarations
 
 
 def may_write(component: Component, hook: str, port: str) -> bool:
-    """Whether a hook, or a function of its class or file that it names, names an out-port; True where unseen."""
+    """Whether a hook, or a function that its code names, names the out-port; True if the port's name is unknown."""
     declared = declarations(type(component)).ports
     names = {attribute for attribute, one in declared.items() if port in (attribute, one.name)}
     return not names or not names.isdisjoint(used := names_of(type(component), hook)) or "ports" in used
 
 
 def names_of(cls: type[Any], hook: str) -> set[str]:
-    """The names in the code of a method, and in that of the functions of its class and file that it names."""
+    """The names in the code of a method, and in the code of the functions in its class and file that it names."""
     used: set[str] = set()
     left = _functions(cls, hook)
     seen: set[CodeType] = set()
@@ -39,6 +39,6 @@ def names_of(cls: type[Any], hook: str) -> set[str]:
 
 
 def _functions(cls: type[Any], name: str) -> list[FunctionType]:
-    """The functions that the user's classes have under this name."""
+    """The functions of this name in a class and its bases, except those of aiorts itself."""
     owners = [one for one in cls.__mro__ if one not in Component.__mro__]
     return [found for one in owners if isinstance(found := vars(one).get(name), FunctionType)]

@@ -68,8 +68,8 @@ def _said(profile: SystemProfile) -> Iterator[tuple[str, str, str, str, str]]:
 
 
 def _waiting(profile: SystemProfile) -> Iterator[tuple[str, str]]:
-    """Circles of active components that run on events alone, along which no sample came: the ports, and the last of
-    its connectors."""
+    """Circles of active components that run on events alone, and that no sample has entered: the ports, and the last
+    connector of each."""
     others = {name for one in profile.contexts.values() if one.kind != "event" for name in one.members}
     edges: dict[str, dict[str, tuple[str, str, int]]] = {
         name: {}

@@ -15,7 +15,7 @@ from aiorts.system.file.survey import Survey
 
 
 def connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
-    """A function that tells whether `[[rules]]` connect a port when the system runs."""
+    """A function that tells whether `[[rules]]` connect a given port when the system runs."""
     settings = found.services["rules"].settings if "rules" in found.services else None
     if not isinstance(settings, RulesSettings):
         return lambda _name, _port: False
@@ -33,7 +33,7 @@ def contexts_of(found: Survey) -> dict[str, list[Any]]:
 
 
 def names_no_port(drafts: Mapping[str, Draft], paths: Iterable[str]) -> bool:
-    """Whether a path names a port that its component, whose ports are known, does not have."""
+    """Whether a path names a port that does not exist, as far as the ports of the components are known."""
     for path in paths:
         component, _, port = path.partition(".")
         if component in drafts and drafts[component].complete and port not in drafts[component].ports:

@@ -1,5 +1,5 @@
-"""The findings that only the whole system shows: components that never run, open ports, cycles that drive themselves,
-writers that wait for themselves. Pure: it looks at a survey and at drafts.
+"""The findings that need the whole system: components that never run, open ports, cycles that never rest, writers that
+wait for themselves. Pure: they are found from a survey and drafts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MOST_LISTED = 6
 
 
 def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
-    """Findings about several parts at once; `whole` is False when parts were left out: then none counts as missing."""
+    """Findings about several parts together; `whole` is False if parts were left out: then none counts as missing."""
     if whole and not (found.system.components or found.system.composites):
         text = "there are no components, and nothing to run; write [components.NAME] with a type"
         yield Said("warning", "W-EMPTY", ("schema",), text, of_key=True)
@@ -80,7 +80,7 @@ def _unused(found: Survey) -> Iterator[Said]:
 
 
 def _unsaid_files(found: Survey) -> Iterator[Said]:
-    """The findings about paths as parameters whose class does not say whether the file is read or written."""
+    """The findings about path parameters that do not declare whether the file is read or written."""
     for name, cls in found.types.items():
         for spec in declarations(cls).parameters.values():
             if spec.is_path and not spec.file:
@@ -195,7 +195,7 @@ def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 
 def _meetings(found: Survey) -> Iterator[Said]:
-    """The findings about connectors with `length = 0` whose ends run together: a write would wait for a later read."""
+    """The findings about `length = 0` between parts that run together: a write would wait for a later read."""
     composites = found.system.composites
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
@@ -244,8 +244,9 @@ def _standoffs(found: Survey) -> Iterator[Said]:
 def _waits(found: Survey) -> Iterator[Said]:
     """The findings about connectors with `full = "block"`, no time-out and too short a buffer inside one context.
 
-    Members run one after the other. A writer takes what its own in-ports hold, and waits when that makes more samples
-    than the buffer has room for: its reader runs only once the writer is done. The count assumes one for one.
+    Members run one after the other. A writer takes all samples of its in-ports, and waits when it writes more samples
+    than the buffer has room for; but the reader runs only afterwards. The count assumes one sample out for each
+    sample in.
     """
     room: dict[str, int] = {}
     for connection in found.system.connections:
@@ -271,9 +272,9 @@ def _waits(found: Survey) -> Iterator[Said]:
 
 
 def _outrun(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """The findings about readers that want every sample and read too seldom: more come in a period than have room.
+    """The findings about readers that want every sample but are too slow: more come in a period than the buffer holds.
 
-    The count assumes one sample for each cycle of the writer; a component that runs on events is as fast as they are.
+    The count assumes one sample for each cycle of the writer; a component without a rate (on events) is not judged.
     """
     for connection in found.system.connections:
         out, *ins = connection.ports
@@ -315,7 +316,7 @@ def _keeps_all(profile: ConnectorProfile) -> bool:
 
 
 def _beside(found: Survey, connection: ConnectionEntry, writer: str) -> str:
-    """A reader that runs in the writer's context and in no other; "" where there is none."""
+    """The first reader of a connection that runs only in contexts of the writer; "" if there is none."""
     for path in connection.ports[1:]:
         reader = path.partition(".")[0]
         theirs = [context for context in found.system.contexts.values() if reader in context.members]

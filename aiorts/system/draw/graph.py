@@ -75,7 +75,7 @@ def _pin(name: str, kind: str) -> str:
 
 
 def _entities(text: str) -> str:
-    """Text for Mermaid's quotes: characters with a meaning there as numbers."""
+    """Escape a text for Mermaid's quotes: characters that have a meaning there become numbers."""
     return "".join(c if c.isalnum() or c in " _-.,:/()→" else f"#{ord(c)};" for c in text)
 
 
@@ -129,12 +129,12 @@ def _dot_box(box: Box, ports: dict[tuple[str, str, bool], str]) -> str:
     ]
     middle = f"{_record(box.name)}\\n{_record(box.type)}"
     parts = [f"{{{side}}}" if side else "" for side in sides]
-    # Record fields stand below one another in this direction of ranks; each pair of braces turns them.
+    # With this `rankdir`, fields of a record stand below one another; each pair of braces turns that direction.
     return '"{' + "|".join(part for part in (parts[0], middle, parts[1]) if part) + '}"'
 
 
 def _record(text: str) -> str:
-    """Text for a label of shape record, between quotes."""
+    """Escape a text for the quoted label of a box of DOT's shape `record`."""
     return "".join(f"\\{c}" if c in '\\{}|<>"' else c for c in text)
 
 

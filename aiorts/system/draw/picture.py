@@ -114,14 +114,14 @@ def picture(system: SystemFile, catalogue: Catalogue | None = None) -> Picture:
 
 
 def end_of(path: str) -> tuple[str, str]:
-    """The component of a port's path, with its kernel where that is another one, and the port."""
+    """The component of a port's path, with the name of its kernel if that is another one, and the port."""
     kernel, slash, rest = path.rpartition("/")
     component, _, port = rest.partition(".")
     return f"{kernel}{slash}{component}", port
 
 
 def elsewhere(arrows: Iterable[Arrow]) -> Iterator[Group]:
-    """A group of the components in other kernels at the ends of arrows, if there are any."""
+    """A group of those components at the ends of arrows that are in other kernels, if there are any."""
     boxes: dict[str, dict[tuple[str, bool], Pin]] = {}
     for arrow in arrows:
         for (component, port), out in ((arrow.source, True), (arrow.target, False)):
@@ -141,7 +141,7 @@ def _group(
     homes: Mapping[str, str],
     context: str,
 ) -> Group:
-    """A context or a composite with the components that run here first."""
+    """The group of a context or composite, with the members whose first context this is."""
     members = tuple(members)
     own = [boxes[one] for one in members if one in boxes and homes.get(one, context) == context]
     inner = [

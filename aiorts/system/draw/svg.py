@@ -1,6 +1,6 @@
 """Draws a system as SVG: a frame for each context and composite, boxes with ports, and edges round the boxes.
 
-The same picture gives the same text. `aiorts.layout` decides the places; the functions write them down.
+The same picture gives the same text. `aiorts.layout` decides the places; the functions here write the SVG.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _INSET: Final = 8.0
 """The distance between the frame of a context and that of a composite in it."""
 _BEND: Final = 6.0
 _ABOVE: Final = 40.0
-"""The distance of left sides below which boxes stand above one another, not side by side."""
+"""Boxes whose left sides are nearer than this stand above one another, not side by side."""
 _WIDEST: Final = 4.0
-"""The most by which boxes stand farther apart than in the studio."""
+"""The greatest factor by which the distance between boxes exceeds that in the studio."""
 _LANES: Final = ("#eef4fb", "#f1f8ee", "#fdf5e9", "#f6f0fa", "#eef8f7", "#fbf0f0")
 _STYLE: Final = (
     "text{font-family:'DejaVu Sans',Verdana,sans-serif;font-size:11px;fill:#1f2933}"
@@ -40,7 +40,7 @@ def svg(seen: Picture, stored: Places | None = None) -> str:
     """The picture as an SVG document.
 
     Args:
-        stored: the places of boxes in the studio, which are kept here; new boxes are placed next to them.
+        stored: the places of boxes in the studio, which this drawing keeps; new boxes are placed next to them.
     """
     labels = _labels(seen)
     layout = Layout(label=max(0, *map(len, labels.values()), 0) * _LABEL_CHAR + 2 * _EDGE)
@@ -88,7 +88,7 @@ def svg(seen: Picture, stored: Places | None = None) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text for XML. Not `xml.sax.saxutils`: it imports `urllib`, which would slow down every start."""
+    """Escape a text for XML. `xml.sax.saxutils` is not used: it imports `urllib`, which would slow down every start."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
@@ -107,7 +107,7 @@ def _text_width(pin: Pin) -> float:
 
 
 def _restore(layout: Layout, spots: Sequence[Spot], edges: Sequence[Edge], stored: Places) -> None:
-    """Put boxes in their stored places; where they are wider than the studio's, as much farther apart."""
+    """Put boxes in their stored places, farther apart if they are wider than in the studio."""
     known = {spot.key: stored.boxes[spot.title] for spot in spots if spot.title in stored.boxes}
     if not known:
         return
@@ -130,7 +130,7 @@ def _restore(layout: Layout, spots: Sequence[Spot], edges: Sequence[Edge], store
 
 
 def _stretch(placed: Sequence[tuple[Spot, Place]], label: float) -> float:
-    """The factor by which boxes stand farther apart, so that boxes side by side have room."""
+    """The factor for horizontal distances at which boxes side by side have room."""
     found = 1.0
     for (one, here), (other, there) in permutations(placed, 2):
         beside = here.y < there.y + other.h and there.y < here.y + one.h
@@ -157,7 +157,7 @@ def _labels(seen: Picture) -> dict[tuple[str, str], str]:
 def _extents(
     layout: Layout, depths: Sequence[int], left: float, right: float
 ) -> Iterator[tuple[float, float, float, float]]:
-    """Left, top, width and height of each frame; a frame reaches to the foot of the last one inside it."""
+    """Left, top, width and height of each frame; a frame reaches to the foot of the last frame inside it."""
     bands: Sequence[tuple[float, float]] = [(band.top, band.height) for band in layout.bands.values()]
     for number, depth in enumerate(depths):
         last = number
@@ -178,7 +178,7 @@ def _wire(arrow: Arrow, route: Route) -> str:
 
 
 def _rounded(points: Sequence[Point]) -> str:
-    """A path through points whose corners are round."""
+    """The path of a line through these points, with rounded corners."""
     text = f"M{_at(points[0])}"
     for i in range(1, len(points) - 1):
         before, here, after = points[i - 1 : i + 2]

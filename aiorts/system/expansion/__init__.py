@@ -1,4 +1,4 @@
-"""System files as people write them: included files, variables, parts with a condition, parts that are repeated.
+"""Expands system files: included files, variables, parts with a condition, parts that are repeated.
 
-All of it is expanded before any other step: the result is one system, and the place of each of its keys.
+Expansion comes before any other step. Its result is one system without these means, and the place of each of its keys.
 """

@@ -1,4 +1,4 @@
-"""The choices of a command line for a system file besides its parameters."""
+"""The choices that a command line makes for a system file, except parameters."""
 
 from __future__ import annotations
 

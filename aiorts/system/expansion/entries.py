@@ -1,4 +1,4 @@
-"""The parts of a system while it is put together: each with its table, and its place."""
+"""The parts of a system during expansion: each with its values, and its place in a file."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from aiorts.system.text.origins import Origin
 from aiorts.system.text.places import Key
 
 NAMED: Final = ("components", "composites", "contexts")
-"""Tables of entries by name."""
+"""Tables whose entries have names."""
 TABLES: Final = (*NAMED, "connections")
 COMPONENTS: Final = ("components", "composites")
-"""Tables whose names stand in connections and in lists of members."""
+"""Tables whose entries are named in connections and in lists of members."""
 
 
 @dataclass(slots=True)
 class Entry:
-    """A component, composite, context or connection; or a table of a list of a service, such as `[[rules]]`."""
+    """A component, composite, context or connection; or a table in the list of a service, such as `[[rules]]`."""
 
     table: str
     name: str
-    """The name of the entry; "" for one of a list."""
+    """The name of the entry; "" for an entry of a list, which has none."""
     value: dict[str, Any]
     origin: Origin
     moved: dict[Key, Origin] = field(default_factory=dict)
-    """The places of keys in it that stand elsewhere than below `origin`, or have another name there."""
+    """The places of those keys of the entry that are not below `origin`, or have another name there."""
 
     def at(self, key: Key) -> Origin:
         """The place of a key of the entry."""
@@ -45,7 +45,7 @@ class Entry:
         self.moved.update({(*key, number): origin for number, (_, origin) in enumerate(items)})
 
     def texts(self, *key: str) -> list[tuple[Any, Origin]] | None:
-        """The elements of a list, each with its place; None where there is no list."""
+        """The elements of the list at a key, each with its place; None if there is no list."""
         value: Any = self.value
         for part in key:
             value = value.get(part) if isinstance(value, dict) else None
@@ -74,15 +74,15 @@ class Entry:
 
 @dataclass(slots=True)
 class Document:
-    """The parts of a file and of all that it includes, by the names that they have there."""
+    """The parts of a file and of all files that it includes, by the names that they have in that file."""
 
     entries: list[Entry] = field(default_factory=list)
     names: dict[tuple[str, str], Origin] = field(default_factory=dict)
     """The places of the entries, by table and name."""
     absent: dict[str, Origin] = field(default_factory=dict)
-    """Components and composites that are left out, and the place of the condition."""
+    """The components and composites that a condition leaves out, and the place of that condition."""
     families: dict[str, list[str]] = field(default_factory=dict)
-    """The names of the copies of repeated parts, by the name as it is written."""
+    """The names of the copies of each repeated part, by the part's name in the file."""
     rest: dict[str, tuple[Any, Origin]] = field(default_factory=dict)
     """All other tables."""
     plugins: dict[str, Origin] = field(default_factory=dict)
@@ -141,7 +141,7 @@ def _each(given: Any, rename: Callable[[str], str]) -> Any:
 
 
 def groups(given: Any, names: Callable[[str], list[str]]) -> Any:
-    """Groups of a composite, "a,b|c" or lists, with each name replaced by other names."""
+    """Groups of a composite, as "a,b|c" or lists, with each name replaced by the names that `names` returns for it."""
     if isinstance(given, str):
         lists: Any = [[name.strip() for name in part.split(",") if name.strip()] for part in given.split("|")]
         made = [[new for name in part for new in names(name)] for part in lists]

@@ -1,7 +1,7 @@
-"""Makes one system of the text of a system file and of those it includes: tables, and the place of each key.
+"""Makes one system from the text of a system file and the files it includes: tables, and the place of each key.
 
-Pure: it is given the function that reads files, and the variables of the environment. A file that uses none of these
-means is handed on as it is.
+Pure: the caller passes the function that reads files, and the variables of the environment. A file without includes,
+variables, conditions and repetitions stays as it is.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from aiorts.system.text.toml import LARGEST, NotToml, tables
 from aiorts.system.text.version import version_fault
 
 TOP_KEYS: Final = (INCLUDE, VARIABLES)
-"""Keys at the top of a file that are gone when it is expanded."""
+"""Keys at the top of a file that expansion removes."""
 _DEEPEST: Final = 16
 """The most levels of files that include each other."""
 _MOST: Final = 1000
-"""The most files that are included, each counted as often as it is."""
+"""The most inclusions; a file that is included twice counts twice."""
 Reader: TypeAlias = Callable[[Path], tuple[Path, str]]
 """Reads an included file: its whole path, and its text. SystemFileError: it cannot be read."""
 
@@ -49,13 +49,13 @@ class Expanded:
     """The whole system as one text."""
     origins: Origins
     mistakes: tuple[Mistake, ...] = ()
-    """The mistakes of all files; where there are any, the tables are empty."""
+    """The mistakes of all files; if there are any, the tables are empty."""
     notes: tuple[Mistake, ...] = ()
     """Remarks that are no mistakes."""
 
 
 def expand(main: Source, choices: Choices, environ: Mapping[str, str], read: Reader) -> Expanded:
-    """The system of a file and of all that it includes.
+    """The system of a file and of all files that it includes.
 
     Raises:
         NotToml: a file is no TOML.
@@ -82,7 +82,7 @@ def _is_written_so(top: Mapping[str, Any], text: str) -> bool:
 
 
 class _Expansion:
-    """Expands one system; it goes on after a mistake, so that all of them are named at once."""
+    """Expands one system; goes on after a mistake, so that all mistakes are named at once."""
 
     def __init__(self, main: Source, choices: Choices, environ: Mapping[str, str], read: Reader) -> None:
         self._main, self._choices, self._environ, self._read = main, choices, environ, read
@@ -96,7 +96,7 @@ class _Expansion:
         self._kept = self.mistakes.kept
 
     def whole(self, top: dict[str, Any]) -> Document:
-        """The document of the file that was named, with the choices of the command line."""
+        """The document of the main file, with the choices of the command line."""
         document = Document()
         with self._kept(Excess):
             given = self._given()
@@ -116,7 +116,7 @@ class _Expansion:
         return document
 
     def notes(self) -> Iterator[Mistake]:
-        """The notes on variables that no text has, however often their file is read."""
+        """The notes on variables that no text uses; one note for each, even if its file is included several times."""
         used = {(file.source.path, name) for file in self._read_files for name in file.scope.used}
         unused = {
             (file.source.path, name): file.at(VARIABLES, name)
@@ -200,7 +200,7 @@ class _Expansion:
             self._merge(document, file, included(self._read_in(file, how), how), prefix, how.prefix)
 
     def _read_in(self, file: File, how: Inclusion) -> Document:
-        """The document of an included file, by its own names."""
+        """The document of an included file, with the names that its parts have in that file."""
         at = how.origin.below("file")
         self._left -= 1
         if self._left < 0:
@@ -247,7 +247,7 @@ class _Expansion:
         return self.files[path]
 
     def _leave_out(self, document: Document, file: File, how: Inclusion) -> None:
-        """Note the names that a file which is left out would have brought; its mistakes do not count."""
+        """Record as absent the names in a file whose inclusion a condition leaves out; its mistakes do not count."""
         before = len(self.mistakes.found)
         try:
             left = included(self._read_in(file, how), how)

@@ -13,13 +13,13 @@ from aiorts.system.text.reading import Mistake, spelled
 from aiorts.system.text.toml import LARGEST
 
 _DEEPEST: Final = 32
-"""The most levels of lists and tables in one value; a file may have as many."""
+"""The most levels of lists and tables in one value, the same as in a file."""
 _MOST: Final = 200
-"""The most mistakes that are named: with more, these are mended first."""
+"""The most mistakes that are named at once."""
 
 
 class Fault(SystemFileError):
-    """A mistake, and the key of a file that it is about."""
+    """A mistake, and the key in a file that the mistake is about."""
 
     def __init__(self, origin: Origin, what: str, *, of_key: bool = False) -> None:
         super().__init__(what)
@@ -27,7 +27,7 @@ class Fault(SystemFileError):
 
 
 class Excess(Fault):
-    """An excess of something: nothing else is looked at."""
+    """Too much of something, such as files or text: expansion stops."""
 
 
 class Typed(Fault):
@@ -39,13 +39,13 @@ class Typed(Fault):
 
 
 class Budget:
-    """The size that may still be made; every character of a text and every value is counted."""
+    """The size by which the expanded system may still grow; every character of a text and every value counts."""
 
     def __init__(self) -> None:
         self._left = LARGEST
 
     def spend(self, count: int, origin: Origin) -> None:
-        """Take `count` away; an Excess at `origin` when nothing is left."""
+        """Subtract `count`; raise an Excess at `origin` if more is spent than was left."""
         self._left -= count
         if self._left < 0:
             what = f"the whole system, with all that is included and repeated, has more than {LARGEST} characters"
@@ -66,14 +66,14 @@ def weight(value: Any, origin: Origin, depth: int = 0) -> int:
 
 
 class Mistakes:
-    """The mistakes of an expansion, which goes on after each, so that all of them are named at once."""
+    """Collects the mistakes of an expansion, which goes on after each, so that all mistakes are named at once."""
 
     def __init__(self) -> None:
         self.found: list[Mistake] = []
 
     @contextmanager
     def kept(self, kind: type[Fault] = Fault) -> Iterator[None]:
-        """Keep a fault and go on after it; an Excess passes, unless it is the `kind` to keep."""
+        """Collect a fault that the body raises, and go on; an Excess is raised on, unless `kind` is Excess."""
         try:
             yield
         except Fault as fault:
@@ -91,5 +91,5 @@ class Mistakes:
             self.found.append(Mistake(key, spelled(key) or "file", fault.what, fault.of_key, fault.origin))
 
     def typed(self, where: str, what: str) -> None:
-        """Keep a mistake of the command line."""
+        """Collect a mistake of the command line."""
         self.found.append(Mistake((), where, what))

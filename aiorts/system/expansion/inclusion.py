@@ -22,14 +22,14 @@ _PREFIX: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True, slots=True)
 class Inclusion:
-    """One file to include, and the changes to it here."""
+    """One file to include, and the changes that the including file makes to it."""
 
     origin: Origin
     file: str
     prefix: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
     remap: Mapping[str, tuple[str, Origin]] = field(default_factory=dict)
-    """Ports by the port that they replace, and the place of the replacement."""
+    """By replaced port: the new port, and the place of this replacement."""
 
 
 def listed(given: Any, origin: Origin) -> list[tuple[Any, Origin]]:
@@ -56,7 +56,7 @@ def as_table(given: Any, origin: Origin) -> dict[str, Any]:
 
 
 def inclusion(table: dict[str, Any], origin: Origin) -> Inclusion:
-    """Read an entry whose variables are filled in."""
+    """Read an entry of `include`; its variables are already filled in."""
     if not isinstance(table["file"], str) or not table["file"]:
         raise Fault(origin.below("file"), f"expected the name of a file, got {table['file']!r:.80}")
     prefix = table.get("prefix", "")
@@ -72,7 +72,7 @@ def inclusion(table: dict[str, Any], origin: Origin) -> Inclusion:
     ports: dict[str, tuple[str, Origin]] = {}
     for word, given in remap.items():
         key = origin.below("remap", word)
-        # Without quotes, a.out = "b.out" is a table in a table.
+        # Without quotes round the key, TOML reads a.out = "b.out" as a table `a` with a key `out`.
         inner = [(f"{word}.{port}", one, key.below(port)) for port, one in given.items()] if _is_table(given) else []
         for port, target, at in inner or [(word, given, key)]:
             _check_port(port, at, of_key=True)
@@ -102,7 +102,7 @@ def port_fault(text: Any) -> str:
 
 
 def included(document: Document, how: Inclusion) -> Document:
-    """The parts of an included file for the including one: with ports replaced, and names with the prefix."""
+    """The parts of an included file for the including file: with ports replaced, and the prefix before names."""
     changed = [
         (entry, key, end)
         for entry in document.entries
@@ -123,7 +123,7 @@ def included(document: Document, how: Inclusion) -> Document:
 
 
 def remapped(document: Document, port: str, target: str, where: str) -> str:
-    """Replace a port in all connections; returns why not, or ""."""
+    """Replace a port in all connections; returns the reason if no connection has the port, else ""."""
     found = [
         (entry, key)
         for entry in document.entries
@@ -137,7 +137,7 @@ def remapped(document: Document, port: str, target: str, where: str) -> str:
 
 
 def not_named(port: str, document: Document, where: str) -> str:
-    """The message that no connection has this port, and which one may be meant."""
+    """The message that no connection has this port, and the port that may be meant."""
     ports = dict.fromkeys(end for one in document.entries if one.table == "connections" for _, end in one.ends())
     known = suggestion(port, ports)
     return f"no connection {where} has the port {port[:80]!r}; {known}"

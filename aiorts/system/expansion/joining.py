@@ -14,7 +14,7 @@ PLUGINS: Final = "plugins"
 
 
 def mixed(document: Document) -> Iterator[Fault]:
-    """Faults for tables of a list, such as `[[rules]]`, where another file has something else of that name."""
+    """Faults for tables of a list, such as `[[rules]]`, if another file has no list under that name."""
     for entry in document.entries:
         value, origin = document.rest.get(entry.table, ([], entry.origin))
         if not isinstance(value, list):
@@ -23,7 +23,7 @@ def mixed(document: Document) -> Iterator[Fault]:
 
 
 def joined(document: Document, top: Mapping[str, Any], main: Source) -> tuple[dict[str, Any], dict[Key, Origin]]:
-    """The tables of the system, and the places of its keys that stand in another file or have another name there."""
+    """The tables of the system, and the places of keys that are in another file or have another name in their file."""
     whole: dict[str, Any] = {"schema": top.get("schema")}
     moved: dict[Key, Origin] = {}
     whole.update({word: value for word, (value, _) in document.rest.items()})

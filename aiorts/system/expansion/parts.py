@@ -1,4 +1,4 @@
-"""Collects the parts of one file itself: its components, composites, connections and contexts, and other tables."""
+"""Collects the parts of one file, without those of files it includes: components, connections, contexts and others."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _OWN: Final = ("schema", INCLUDE, VARIABLES, PLUGINS, *TABLES)
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """A file while its parts are put together."""
+    """A file whose parts are collected."""
 
     source: Source
     top: dict[str, Any]
     scope: Scope
     way: tuple[tuple[Path, Path], ...]
-    """The files that led to this one, this one last: the whole path, and the path as it was written."""
+    """The chain of inclusions, from the main file to this file: the whole path of each, and its path as written."""
     folder: str
     """The folder of the file, relative to the folder of the named file."""
 
@@ -39,7 +39,7 @@ class File:
 
 
 def put_own(document: Document, file: File, kept: Callable[[], AbstractContextManager[None]]) -> None:
-    """Put the parts of the file itself into its document; `kept` keeps the faults of a part."""
+    """Put the file's own parts into its document; `kept` collects the faults of a part."""
     for table in NAMED:
         with kept():
             for name, value in _entries(file, table):
@@ -64,7 +64,7 @@ def put_own(document: Document, file: File, kept: Callable[[], AbstractContextMa
 
 
 def _other(document: Document, file: File, word: str, value: Any) -> None:
-    """Put another table, such as the clock or that of a service, into the document."""
+    """Put a table without entries, such as `clock` or that of a service, into the document."""
     origin = file.at(word)
     made = file.scope.filled(value, origin)
     if isinstance(value, dict) and IF in value:
@@ -111,7 +111,7 @@ def _unnamed(document: Document, file: File, table: str, number: int, value: dic
 def filled(
     file: File, value: dict[str, Any], origin: Origin, number: int | None
 ) -> tuple[dict[str, Any], dict[Key, Origin]]:
-    """The table of one copy, without `if` and `repeat`; and the places of its keys that have another name there."""
+    """The table of one copy, without `if` and `repeat`; and the places of keys that have another name in the file."""
     value = {word: one for word, one in value.items() if word not in (IF, REPEAT)}
     moved: dict[Key, Origin] = {}
     if number is not None:
@@ -129,7 +129,7 @@ def _add(document: Document, entry: Entry) -> None:
 
 
 def _plugins(document: Document, file: File) -> None:
-    """Put the plugin folders of an included file into the document; of the named file, the table as it is."""
+    """Put the plugin folders of an included file into the document; for the main file, the whole table as it is."""
     origin = file.at(PLUGINS)
     given = file.scope.filled(file.top.get(PLUGINS, {}), origin)
     if len(file.way) == 1:

@@ -1,6 +1,6 @@
-"""`if` and `repeat`: whether a part is there, and its copies, each with its number in the place of `{i}`.
+"""Handles `if` and `repeat`: whether a part exists, and its copies, each with its number in the place of `{i}`.
 
-Numbers count from 0. `{i+1}` and `{i-1}` are the next and the one before; `{{i}}` is a literal `{i}`.
+Numbers count from 0. `{i+1}` and `{i-1}` are the next number and the one before it; `{{i}}` is a literal `{i}`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NUMBER: Final = re.compile(r"\{(\{i(?:[+-]\d{1,6})?\})\}|\{i([+-]\d{1,6})?\}")
 
 
 def copies(table: dict[str, Any], scope: Scope, origin: Origin) -> range | None:
-    """The numbers of the copies; None for a part that is there once."""
+    """The numbers of the copies; None for a part without `repeat`."""
     if REPEAT not in table:
         return None
     at = origin.below(REPEAT)
@@ -36,12 +36,12 @@ def is_there(table: dict[str, Any], scope: Scope, origin: Origin) -> bool:
 
 
 def has_number(text: str) -> bool:
-    """Whether a text differs from copy to copy."""
+    """Whether a text has a number in it, such as `{i}`, which differs from copy to copy."""
     return any(found[1] is None for found in _NUMBER.finditer(text))
 
 
 def numbered(value: Any, number: int, origin: Origin, moved: dict[Key, Origin], path: Key = ()) -> Any:
-    """The value for one copy; keys with another name are put into `moved`. A text `{i}` alone becomes the number."""
+    """The value for one copy; the places of renamed keys are put into `moved`. A text `{i}` becomes an integer."""
     if isinstance(value, str):
         if "{i" not in value:
             return value

@@ -13,7 +13,7 @@ from aiorts.system.text.places import Key
 
 
 def resolve(document: Document, budget: Budget) -> Iterator[Fault]:
-    """Replace each name that stands for several by these, and take absent names away."""
+    """Replace the name of each repeated part by those of its copies, and remove absent names from lists."""
     there = {name for table, name in document.names if table in COMPONENTS}
     document.absent = {name: origin for name, origin in document.absent.items() if name not in there}
     if document.absent or document.families:
@@ -73,7 +73,7 @@ class _Names:
         return [f"{one}{space}{state}" for one in self._names(name)]
 
     def _ports(self, text: str) -> list[str]:
-        """The ports for one of a connection, where components that are left out stay, to be refused."""
+        """The ports that a port in a connection stands for; components that are left out stay, to be refused later."""
         name, dot, port = text.partition(".")
         return [f"{one}{dot}{port}" for one in self._names(name)] if name in self._families else [text]
 
@@ -92,7 +92,7 @@ class _Names:
             self._entry.put(key, items)
 
     def _ends(self) -> Iterator[Fault]:
-        """Faults for one port that stands for several; only a list of in-ports may have several."""
+        """Faults for ports that stand for several but are not in a list of in-ports."""
         for key, end in self._entry.ends():
             name = end.partition(".")[0]
             if name in self._families and has_number(name):
@@ -100,7 +100,7 @@ class _Names:
                 yield Fault(self._entry.at(key), what if key == ("from",) else f'{what}, or a list: to = ["{end}"]')
 
     def _exported(self, exported: Any) -> None:
-        """Give the ports of each copy of a repeated part their own pattern, and a name with its number."""
+        """Export the ports of a repeated part by one pattern for each copy, under a name with the copy's number."""
         if isinstance(exported, list):
             self._put(("exported",), self._patterns)
         elif isinstance(exported, str):

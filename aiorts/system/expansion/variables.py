@@ -1,7 +1,7 @@
 """`[variables]`, and `${name}` in texts.
 
-A text that is `${name}` and nothing else has the variable's value, of its type; in other texts it is written out.
-`$${` is a literal `${`. A value is put in once: a `${` in it is not expanded again.
+A text that is only `${name}` becomes the variable's value, with its type; inside a longer text the value is written
+out. `$${` is a literal `${`. A `${` inside a value is not expanded again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from aiorts.system.text.places import Key
 from aiorts.system.text.toml import LARGEST
 
 ENV: Final = "env"
-"""The key of `[variables]` that is no variable: it lists those that the environment may set."""
+"""The key of `[variables]` that is no variable: it lists the variables that the environment may set."""
 _FIELD: Final = re.compile(r"\$\$\{|\$\{([^{}]*)(\}?)")
 _WHOLE: Final = re.compile(r"\$\{([^{}]*)\}")
 _CONDITION: Final = re.compile(r"\s*(not\s+)?(\$\{[^{}]*\})\s*")
@@ -34,7 +34,7 @@ _KINDS: Final[tuple[tuple[Any, str], ...]] = (
 )
 
 Given: TypeAlias = Callable[[Any], Any]
-"""A value in place of a default: a function that gets the default; a Fault where the two do not agree."""
+"""A value that replaces a default: a function that gets the default and returns the value, or raises a Fault."""
 
 
 class _Unknown(Fault):
@@ -122,7 +122,7 @@ class Scope:
         raise _Unknown(name, origin, known, of_key=of_key)
 
     def _written(self, name: str, closed: str, origin: Origin, *, of_key: bool) -> str:
-        """The text of a value in the middle of another text."""
+        """The value of a variable as a part of a text."""
         if not closed:
             what = f"${{{name[:40]} has no closing brace; write ${{name}}, or $${{ for a ${{ that means nothing"
             raise Fault(origin, what, of_key=of_key)
@@ -137,7 +137,7 @@ class Scope:
 def declared(
     table: Any, origin: Origin, given: Mapping[str, Given], environ: Mapping[str, str], budget: Budget
 ) -> Scope:
-    """The variables of a file: a given value comes before the environment, and that before the default.
+    """The variables of a file: a given value wins over the environment, and the environment over the default.
 
     A default may use the variables above it.
     """
@@ -169,12 +169,12 @@ def declared(
 
 
 def typed(text: str, fault: Callable[[str], Fault]) -> Given:
-    """The value of a command line or the environment: text that is read as a value of the default's kind."""
+    """A value from a command line or the environment: a text that is read as a value of the default's kind."""
     return lambda default: _converted(text, default, fault)
 
 
 def handed(name: str, value: Any, origin: Origin) -> Given:
-    """The value of an including file: it has to be of the default's kind."""
+    """A value from an including file: it has to be of the default's kind."""
 
     def agreed(default: Any) -> Any:
         kinds, word = _kind(default, origin)
@@ -225,7 +225,7 @@ def _converted(text: str, default: Any, fault: Callable[[str], Fault]) -> Any:
 
 
 def _number(text: str) -> int | float:
-    """A whole number, or else another number: a default 1 is no promise that the value stays whole."""
+    """The number in a text, an int if possible; a float is accepted even if the default is an int."""
     if len(text) > _LONGEST_NUMBER:
         raise ValueError
     try:
