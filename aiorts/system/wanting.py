@@ -1,4 +1,4 @@
-"""The wanted system of a system file, in the form in which a kernel is read; components are made, and no hook runs."""
+"""Makes the `Wanted` of a system file, in the form of one read from a kernel; makes components, runs no hook."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class _Reader:
 
 
 def _pairs(paths: Sequence[str], ports: Sequence[Any]) -> Iterator[tuple[str, str, int | None]]:
-    """Each out-port with each in-port; an unknown port is an out-port in the first place, and an in-port elsewhere."""
+    """Each out-port with each in-port; an unknown port counts as an out-port if it comes first, else as an in-port."""
     outs, ins = [], []
     for number, (path, port) in enumerate(zip(paths, ports, strict=True)):
         if isinstance(port, OutPort) or (port is None and number == 0):

@@ -58,7 +58,7 @@ def flag_of(cls: type[Any], param: str) -> str:
 
 
 def option_params(table: Iterable[Any], given: Mapping[int, Any]) -> dict[str, Any]:
-    """The parameters that options set, from their values by place in the table; options not given are left out."""
+    """The parameters that options set; `given` has the values of options by their place in the table."""
     params: dict[str, Any] = {}
     for number, option in enumerate(table):
         value = given.get(number)
@@ -70,7 +70,7 @@ def option_params(table: Iterable[Any], given: Mapping[int, Any]) -> dict[str, A
 
 
 class _Plain:
-    """The option of a parameter where a class has no table."""
+    """The option of a parameter of a class that has no table of options."""
 
     kind, action, value, required = "text", "", True, False
 

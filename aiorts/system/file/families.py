@@ -1,4 +1,4 @@
-"""The memberships in a system file, and their consequences: the parts of a name, and the contexts of these; pure."""
+"""Composites and members in a system file: the components a name stands for, and the contexts they run in. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:
 
 
 def root(composites: Mapping[str, CompositeEntry], name: str) -> str:
-    """The outermost composite that a component or composite runs with; its own name where there is none."""
+    """The outermost composite that a component or composite runs with; without such a composite, its own name."""
     of = owners(composites)
     while name in of and not (name in composites and composites[name].own_schedule):
         name = of[name]
@@ -26,8 +26,8 @@ def root(composites: Mapping[str, CompositeEntry], name: str) -> str:
 
 
 def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: bool = False) -> tuple[str, ...]:
-    """The components of this kernel that run with this one, in the order stated; `everybody`: also those with a
-    schedule of their own."""
+    """The components of this kernel that a component or composite consists of, in the order stated; `everybody`: also
+    members of composites with a schedule of their own."""
     entry = composites.get(name)
     if entry is None:
         return () if names_kernel(name) else (name,)
@@ -40,7 +40,7 @@ def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: boo
 
 
 def inner_first(composites: Mapping[str, CompositeEntry]) -> list[CompositeEntry]:
-    """The composites, each after those that are its members."""
+    """The composites, each after the composites that are its members."""
     ordered: dict[str, CompositeEntry] = {}
 
     def visit(entry: CompositeEntry) -> None:
@@ -55,7 +55,7 @@ def inner_first(composites: Mapping[str, CompositeEntry]) -> list[CompositeEntry
 
 
 def with_parts(system: SystemFile) -> SystemFile:
-    """The system with components in the place of the composites that contexts run; its connections are as they were."""
+    """The system with components in the place of composites in the members of contexts; connections are unchanged."""
     contexts = {
         entry.name: replace(
             entry, members=tuple(part for member in entry.members for part in parts(system.composites, member))
@@ -68,7 +68,7 @@ def with_parts(system: SystemFile) -> SystemFile:
 def misplaced(
     composites: Mapping[str, CompositeEntry], contexts: Mapping[str, ContextEntry]
 ) -> Iterator[tuple[Key, str]]:
-    """Members of contexts that run elsewhere by what the file says: the key, and the fault."""
+    """Members of a context that the file makes run in another context: the key, and the fault."""
     of = owners(composites)
     homes: dict[str, str] = {}
     for context in contexts.values():
@@ -90,7 +90,7 @@ def misplaced(
 
 
 def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
-    """The parts that no run can start: the key, and the fault.
+    """The parts of a system that cannot be started: the key, and the fault.
 
     These are start rules of components in no context, and contexts whose members run in different processes.
     """
@@ -115,7 +115,7 @@ def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
 
 
 def _apart(system: SystemFile) -> Iterator[tuple[Key, str]]:
-    """Contexts that would run a member with a process of its own together with others."""
+    """Contexts that have a member with a process of its own together with other members: the key, and the fault."""
     of = owners(system.composites)
     isolated = {name for name, entry in system.components.items() if entry.isolation}
     for name, entry in system.contexts.items():
@@ -132,7 +132,7 @@ def _apart(system: SystemFile) -> Iterator[tuple[Key, str]]:
 
 
 def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> list[str]:
-    """The names, each after its readers; `edges` are (writer, reader). In a circle the order given decides."""
+    """The names, each after its readers; `edges` are (writer, reader). In a circle, the order of `names` decides."""
     readers: dict[str, list[str]] = {name: [] for name in names}
     for writer, reader in edges:
         readers[writer].append(reader)

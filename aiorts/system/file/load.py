@@ -35,7 +35,7 @@ from aiorts.system.text.toml import read_text
 
 _MOST_FILES: Final = 10_000
 Fault: TypeAlias = tuple[Key, str, AiortsError]
-"""The key of a fault, its place where that is no key of the file, and the error."""
+"""The key of a fault, its place as text if that is no key of the file, and the error."""
 
 
 def load(path: str | Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN) -> SystemFile:
@@ -80,7 +80,7 @@ def converter(system: SystemFile, entry: ConnectionEntry, catalogue: Catalogue) 
 
 
 def context_type(system: SystemFile, kind: str, catalogue: Catalogue) -> type[Context]:
-    """The class of a kind of context. SystemFileError or PluginError when it cannot be had."""
+    """The class of a kind of context. SystemFileError: the kind is unknown. PluginError: the class cannot be loaded."""
     offers = catalogue.extensions("contexts")
     if kind not in offers:
         raise SystemFileError(f"unknown kind {kind[:80]!r}; {suggestion(kind, offers)}")
@@ -120,7 +120,7 @@ def _folders_in(folder: Path) -> list[Path]:
 
 
 def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) -> tuple[dict[str, Any], list[Fault]]:
-    """The parameters of a component, converted and checked, and the faults: (key, "where", error).
+    """The parameters of a component, converted and checked, and the faults.
 
     Values of the command line win over the file.
     """
@@ -186,7 +186,7 @@ def setting(
             faults.append((where, said, error))
             active = ""
     if active and active != DEFAULT:
-        # Values of the command line are in force, though the active set may have others.
+        # Values of the command line win over those of the active set.
         by_hand = {one.param for one in system.overrides if one.component == entry.name}
         chosen = {name: params[name] for name in known[active] if name in by_hand and name in params}
         if chosen:
@@ -195,7 +195,7 @@ def setting(
 
 
 def in_folder(system: SystemFile, spec: ParameterSpec | None, value: Any, key: Key) -> Any:
-    """A value of the file; a relative path is taken from the folder of the file that has the key."""
+    """A value from a file; a relative path is joined to the folder of the file that has the key."""
     is_path = spec is not None and spec.type is Path and isinstance(value, str) and value
     return str(system.folder_of(key) / value) if is_path else value
 

@@ -1,6 +1,6 @@
-"""The rule that two ports are connected once, unless the later connection says otherwise. Pure.
+"""The rule that two ports are connected once, unless the later connection has `allow_duplicate`. Pure.
 
-It is used where a system file is read (`system/file/parse.py`) and where `Wanted` is made of it (`system/wanting.py`).
+The parser of system files (`system/file/parse.py`) and the maker of `Wanted` (`system/wanting.py`) use it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class ConnectedPairs:
-    """The pairs of ports that connections have joined, and the number of the connection of each."""
+    """The pairs of ports that are joined, and the number of each pair's connection."""
 
     def __init__(self) -> None:
         self._pairs: dict[frozenset[str], int] = {}
@@ -23,7 +23,7 @@ class ConnectedPairs:
         """Join two ports by the connection of this number; returns why they must not be joined, or None.
 
         Args:
-            limits: its options about the ports; None where they are wrong.
+            limits: the options of the connection that concern ports; None if they are wrong.
         """
         pair = frozenset((one, other))
         first = self._pairs.get(pair)

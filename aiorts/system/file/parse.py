@@ -1,7 +1,7 @@
 """Parses the text of a system file into `SystemFile`: unknown keys, and names that refer to nothing, are refused.
 
-It loads no component, and opens no file but those that the text includes. It goes on after a mistake, so that all of
-them are named at once, each with its key; wrong parts are left out of the resulting system.
+The parser loads no component, and opens no file but those that the text includes. It goes on after a mistake, so that
+all mistakes are named at once, each with its key; wrong parts are left out of the resulting system.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _LIMITS: Final = tuple(options_of(Limits))
 _COMPONENT: Final = ("type", "options", "params", "sets", "active", *options_of(ComponentEntry), IF, REPEAT)
 _COMPOSITE: Final = ("members", *options_of(CompositeEntry), IF, REPEAT)
 _LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e300}, "backoff_max": {"backoff": 1e-300}}
-"""The companions of a value that is tried alone: the two limits of a delay are compared where both are known."""
+"""Values that go with one that is checked alone: without the other limit of a delay, its default would be compared."""
 
 
 def parse(text: str, path: Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN) -> SystemFile:
@@ -85,7 +85,7 @@ def parse(text: str, path: Path, overrides: Iterable[str] = (), choices: Choices
 def read(
     text: str, path: Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN
 ) -> tuple[SystemFile, tuple[Mistake, ...]]:
-    """The system without its wrong parts, and all mistakes; files that it includes are opened.
+    """The system without its wrong parts, and all mistakes; opens the files that the text includes.
 
     Raises:
         NotToml: the text is no TOML; names line, column and reason.
@@ -121,18 +121,18 @@ def parse_override(text: str) -> Override:
 
 
 def may_be_a_service(key: str) -> bool:
-    """Whether a table may be that of a service; a key nearly like one of `TOP` is a misspelt one."""
+    """Whether a key may name the table of a service: one that resembles a key of `TOP` is a misspelling."""
     return not nearest(key, TOP, cutoff=0.85)
 
 
 def may_be_of_a_service(key: str, value: Any) -> bool:
-    """Whether a value may be a table of a service, or a list of such: `[[NAME]]`."""
+    """Whether a value may be the table of a service, or a list of tables: `[[NAME]]`."""
     listed = isinstance(value, list) and key not in TOP and all(isinstance(one, dict) for one in value)
     return (isinstance(value, dict) or listed) and may_be_a_service(key)
 
 
 def _service_table(key: str, value: Any) -> dict[str, Any]:
-    """The settings of a service; `[[NAME]]` is its setting of its own name."""
+    """The settings of a service; a list `[[NAME]]` is the setting that has the service's own name."""
     return value if isinstance(value, dict) else {key: value}
 
 
@@ -209,7 +209,7 @@ class _Reader(Reading):
     def _declared(
         self, cls: type, key: Key, table: dict[str, Any], tables: Mapping[str, Callable[[Key, dict[str, Any]], Any]]
     ) -> dict[str, Any]:
-        """The declared keys of a class: those of one value by their types, and each table by its own function."""
+        """The values of a class's declared keys: tables are read by the functions in `tables`, others by type."""
         return {
             word: tables[word](key, table) if word in tables else self._value(cls, key, table, word)
             for word in options_of(cls)
@@ -312,7 +312,7 @@ class _Reader(Reading):
         return None if len(self.mistakes) > before else entry
 
     def _once(self, key: Key, entry: ConnectionEntry) -> None:
-        """Refuse pairs that are connected already, as far as that can be seen without the ports."""
+        """Refuse pairs that are connected already, as far as that is known without the ports."""
         try:
             _, limits = connector_profile("", entry.options, "", entry.ports)
         except WiringError:  # wrong, or an option of service ports: judged with the ports
@@ -450,7 +450,7 @@ class _Reader(Reading):
         return made
 
     def _made(self, key: Key, given: dict[str, Any], known: Collection[str], make: Any) -> Any:
-        """The result of `make` for the values; each is tried alone first, so that each wrong one is marked."""
+        """The result of `make` for the values; each value is tried alone first, so that each wrong value is marked."""
         before = len(self.mistakes)
         self._only(key, given, known)
         for word, value in given.items():

@@ -1,4 +1,4 @@
-"""Loads the types and plugins of a system file and checks each part by itself; it creates nothing and stops nowhere.
+"""Loads the types and plugins of a system file and checks each part by itself; creates nothing, goes on after faults.
 
 `prepare` raises the first fault of a survey, `check` shows all of them.
 """
@@ -32,7 +32,7 @@ from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 
 _TEXTS: Final = ("name", "empty", "stamp", "convert")
-"""Options of a connection that a program may leave out by None, False or 0; in a file they have to be texts."""
+"""Options of a connection that a program may set to None, False or 0 for no value; in a file they have to be texts."""
 
 
 _ENTRY: Final = re.compile(r"\[(\d+)\](?:\.([^:]+))?: ")
@@ -60,15 +60,15 @@ class Survey:
     """Classes by the text of a type and the folder of its file: thousands of components have few types."""
     settings: dict[str, Setting] = field(default_factory=dict)
     profiles: dict[int, tuple[ConnectorProfile, PortLimits]] = field(default_factory=dict)
-    """The options in force, and those about the ports, by the number of the connection."""
+    """By the number of the connection: its options in force, and its options that concern ports."""
     contexts: dict[str, Context] = field(default_factory=dict)
     services: dict[str, ServicePlan] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
     bad_params: set[str] = field(default_factory=set)
-    """Components with a wrong parameter: the ports that it makes are not known; declared ones are."""
+    """Components with a wrong parameter: only their declared ports are known, not ports that depend on parameters."""
 
     def say(self, key: Key, error: AiortsError, where: str = "", *, of_key: bool = False) -> None:
-        """Keep a fault; `where` takes the place of the key as it is written."""
+        """Add a fault; `where` is the text of its place, by default that of the key."""
         self.faults.append(Fault(key, where or spelled(key), error, of_key))
 
 
@@ -117,7 +117,7 @@ def survey_component(found: Survey, entry: ComponentEntry) -> None:
 
 
 def _class(found: Survey, entry: ComponentEntry) -> type[Component]:
-    """The class of a component, looked up once for each text; a failed look-up is made, and refused, each time."""
+    """The class of a component, loaded once for each text; after a failure it is tried again for each component."""
     asked = entry.type, found.system.folder_of(("components", entry.name, "type"))
     cls = found.classes.get(asked)
     if cls is None:
@@ -152,7 +152,7 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
     try:
         far = [path for path in entry.ports if found.system.is_elsewhere(path)]
         if far:
-            # Options that the kernel of a writer elsewhere has to carry out are reported with the ports: see `checks`.
+            # If the writer is in another kernel, options that only that kernel can implement are reported by `checks`.
             through = entry.ports[0] in far and len(far) > 1
             options = link_options("", options, from_reader=through, through=through)
         elif options.get("on_link_lost") is not None:
@@ -163,7 +163,7 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
 
 
 def _needed(option: str, value: Any) -> dict[str, Any]:
-    """The options that another one requires, so that it can be checked alone."""
+    """The options that a given option requires, so that this option can be checked alone."""
     periodic = str(value).strip().lower() == "periodic"
     return {"push_rate": 1.0} if periodic and not option.endswith("push_rate") else {}
 
@@ -187,7 +187,7 @@ def _context(found: Survey, entry: ContextEntry) -> None:
 
 
 def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
-    """Load a service and check its settings: those of its table, and those chosen elsewhere."""
+    """Load a service and check its settings: those of its table, and `chosen` ones, which win."""
     offers = found.catalogue.extensions("services")
     if name not in offers:
         what = f"unknown key {name[:80]!r}; {suggestion(name, (*TOP, *offers))}"
@@ -215,7 +215,7 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
 
 
 def _listed(name: str, what: str) -> tuple[Key, str]:
-    """The place in `[[NAME]]` that begins a service's message, "[NUMBER].KEY: ...", and the rest of the message."""
+    """Split a service's message "[NUMBER].KEY: ..." into the place in `[[NAME]]` that it begins with, and the rest."""
     place = _ENTRY.match(what)
     if place is None:
         return (name,), what
@@ -224,7 +224,7 @@ def _listed(name: str, what: str) -> tuple[Key, str]:
 
 
 def _in_folder(folder: Path, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:
-    """A service's table; a relative path in it is taken from the folder of the file."""
+    """A service's table in which each relative path is joined to the folder of the file."""
     paths = path_settings(settings)
     return {
         key: str(folder / value) if key in paths and isinstance(value, str) and value else value

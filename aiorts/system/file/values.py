@@ -1,4 +1,4 @@
-"""A system file as it was read: its contents, its places, and the overrides of a command line."""
+"""The contents of a system file after parsing, with the places of keys, and the overrides of a command line."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Override:
 
 @dataclass(frozen=True, slots=True)
 class SystemFile(Wanted):
-    """A whole system, read and checked as far as that goes without loading any component.
+    """A whole system, read and checked as far as possible without loading any component.
 
-    The service of a table is looked up when the system is prepared.
+    A service is looked up by the name of its table when the system is prepared.
     """
 
     path: Path = Path()
@@ -42,7 +42,7 @@ class SystemFile(Wanted):
     """The places of its keys."""
 
     def at(self, *key: str | int, of_key: bool = False) -> str:
-        """The place of a key's value, or of the key itself, as a message has it: "system.toml:7:3"."""
+        """The place of a key's value, or of the key itself, in the form for messages: "system.toml:7:3"."""
         return str(self.origins.spot(key, of_key=of_key)) if self.text else str(self.path)
 
     notes: tuple[Mistake, ...] = field(default=(), repr=False, compare=False)
@@ -70,7 +70,7 @@ class SystemFile(Wanted):
         return self.origins.of(key).source.path.parent if self.text else self.folder
 
     def folders(self, key: Key) -> tuple[Path, ...]:
-        """The folders with plugins, those below the file that has this key first."""
+        """The folders with plugins; those of the file that has this key come first."""
         own = self.folder_of(key)
         if own == self.folder:
             return self.plugin_paths

@@ -17,7 +17,7 @@ def _spelled(word: str) -> str:
 
 
 def _text(*patterns: str) -> dict[str, Any]:
-    """The schema of a text that has one of these patterns, with blanks round it."""
+    """The schema of a text that matches one of these patterns, with blanks round it allowed."""
     return {"type": "string", "pattern": rf"^\s*({'|'.join(patterns)})\s*$"}
 
 
@@ -26,7 +26,7 @@ WHOLE_TEXT: Final = _text(WHOLE)
 
 
 def _choice(kind: type[StrEnum], one: Option) -> dict[str, Any]:
-    """The words of an option, for an editor to offer, and these words in any case, with blanks round them."""
+    """The schema of an option with words: the words for editors to offer, and the words in any case, with blanks."""
     words = [*(member.value for member in kind), *one.words, *([""] if one.default is None else [])]
     return {"anyOf": [{"enum": words}, _text(*map(_spelled, words))]}
 
@@ -57,7 +57,7 @@ def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:
-    """The JSON Schema of an option that takes texts for its values, too."""
+    """The JSON Schema of an option that also accepts its values as texts."""
     kind = kinds[0]
     if kind is bool:
         found = _yes(kinds[1:])
@@ -80,6 +80,6 @@ def plain_schema(kind: Any, one: Option) -> dict[str, Any]:
 
 
 def _said(one: Option) -> dict[str, Any]:
-    """The default of an option, where a file can have it, and its description."""
+    """The part of a schema with the option's default, unless it is None or "", and its description."""
     default = {} if one.default in (None, "") else {"default": one.default}
     return {**default, "description": one.described}

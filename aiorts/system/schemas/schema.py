@@ -105,7 +105,7 @@ def _named(kind: str, text: str) -> dict[str, Any]:
 def _classes(
     catalogue: Catalogue, kind: str, load: Callable[[Extension], type[T]]
 ) -> Iterator[tuple[str, type[T] | None]]:
-    """Names and classes of a kind of extension; None for one that does not load: `aiorts plugins --check` says why."""
+    """Names and classes of a kind of extension; None if it does not load (`aiorts plugins --check` shows why)."""
     for name in catalogue.extensions(kind):
         try:
             yield name, load(catalogue.find(kind, name))
@@ -245,7 +245,7 @@ def _members(kind: type[enum.Enum]) -> list[Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A default as JSON has it; None for one that JSON cannot have."""
+    """A default as a JSON value; None for a default that JSON cannot represent."""
     if isinstance(value, enum.Enum):
         return value.name
     if isinstance(value, tuple):
@@ -333,7 +333,7 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
 
 
 def _documented(cls: type) -> dict[str, str]:
-    """The descriptions of arguments in the signatures and under `Args:` of the classes; the class itself wins."""
+    """The descriptions of arguments, from signatures and `Args:` of a class and its bases; the class itself wins."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         texts.update({name: one.described for name, one in options_of(base).items()})

@@ -54,7 +54,7 @@ def component_schema() -> dict[str, Any]:
 
 
 def keys_schema(cls: type, tables: Mapping[str, dict[str, Any]] = MappingProxyType({})) -> dict[str, Any]:
-    """The schemas of a class's declared keys: those that are tables as given, the others by their types."""
+    """The schemas of a class's declared keys: for a table that in `tables`, for another key that of its type."""
     kinds, keys = kinds_of(cls), options_of(cls).items()
     return {key: tables.get(key) or plain_schema(kinds[key][0], one) for key, one in keys}
 

@@ -97,7 +97,7 @@ def templated(made: dict[str, Any]) -> dict[str, Any]:
 
 
 def _inside(node: Any) -> Any:
-    """A table with templates in the place of values, or a choice of such tables."""
+    """The schema of a table, or of a choice of tables, in which a template may replace each value."""
     if not isinstance(node, dict):
         return node
     made = dict(node)

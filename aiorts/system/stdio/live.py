@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from aiorts.sessions import Stream
 
 _LOOK_AGAIN: Final = 0.2
-"""Seconds after which the thread that waits for samples looks whether it is still wanted."""
+"""Seconds after which the thread that waits for samples checks whether it has to stop."""
 
 
 class LiveInput(Incoming):

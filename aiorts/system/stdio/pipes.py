@@ -1,7 +1,7 @@
 """Makes any component a Unix filter: feeds its in-ports from standard input, writes its out-ports to standard output.
 
 Lines are JSON, one sample each (`aiorts.wire.lines`). A bad line is reported and counted, and the others are processed;
-the end of input ends the source. Nothing is read ahead of a reader that cannot take it: a connector with full = block
+the end of input ends the source. No line is read before its reader has room for it: a connector with full = block
 holds back the program that writes to our standard input.
 """
 
@@ -36,19 +36,19 @@ _GONE: Final = (errno.EIO, errno.EBADF)
 _LINES_KEPT: Final = 4096
 """The number of samples of a port whose line numbers are kept: more than fit into a connector and its reader."""
 _TURNS: Final = 50
-"""Turns of the loop after which waiting for a component changes from each turn to now and then."""
+"""Turns of the loop for which a wait for a component checks in each turn; afterwards it sleeps between checks."""
 _LOOK: Final = 0.001
 _STUCK_S: Final = 10.0
-"""Seconds after which a reader that takes nothing, and waits for no other component, is an error."""
+"""Seconds after which it is an error that a reader reads nothing although it waits for no other component."""
 
 Notify = Callable[[int, str], None]
 
 
 class Feed:
-    """The out-ports of a source: writes in the order of lines if `ordered`, and keeps the line of each recent sample.
+    """Writes to the out-ports of a source, in the order of lines if `ordered`; keeps the lines of recent samples.
 
     Args:
-        ordered: whether a sample waits until those before it were read from other ports.
+        ordered: whether a sample is written only after earlier samples were read from other ports.
         held_up: tells whether the reader itself waits for another component; without it a full port is waited for
             without end.
     """

@@ -1,6 +1,6 @@
-"""The places of all keys and values of a TOML text, which a TOML parser has read before and found right.
+"""Finds the places of all keys and values in a TOML text that a TOML parser has accepted before.
 
-Pure, and linear in the text: a reader of keys, strings and brackets, which knows only the extents of values.
+Pure, and linear in the text: it reads keys, strings and brackets, and of values only their extent.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class Places:
             yield
 
     def _resolved(self, key: Key) -> Key:
-        """The key with the number of the last element after each list of tables in it."""
+        """The key in which the last element's number follows each list of tables."""
         found: Key = ()
         for part in key:
             found = (*found, part)
@@ -204,5 +204,5 @@ def _name(written: str) -> str:
 
 @lru_cache(maxsize=32)
 def places_of(text: str) -> Places:
-    """The places in a text, which are read once."""
+    """The places in a text, read at the first call and kept."""
     return Places(text)

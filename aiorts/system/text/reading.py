@@ -1,4 +1,4 @@
-"""Takes values out of TOML tables, each checked, and keeps mistakes with their keys; it knows no table."""
+"""Reads and checks values of TOML tables, and keeps mistakes with their keys; knows no particular table."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from aiorts.system.text.places import Key
 _WORDS: Final = {**WORDS, dict: "a table"}
 NOTHING: Final[Any] = object()
 _MOST_MISTAKES: Final = 200
-"""The most mistakes that are named: with more, these are mended first."""
+"""The most mistakes that are named at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A mistake, and the key that it is about; `of_key` when the key itself is wrong and not its value."""
+    """A mistake, and the key that it is about; `of_key` if the key itself is wrong, not its value."""
 
     key: Key
     where: str
@@ -49,7 +49,7 @@ class Reading:
     def _get(
         self, key: Key, table: dict[str, Any], word: str, kind: type, default: Any = NOTHING, *, missing: Any = NOTHING
     ) -> Any:
-        """The value of a key; `default` when it is absent. Without a default, absence is a mistake (then `missing`)."""
+        """The value of a key, or `default`. Without a default, an absent key is a mistake; the value is `missing`."""
         if word not in table:
             if default is NOTHING:
                 self._missing(key, table, word)

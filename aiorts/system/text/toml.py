@@ -95,7 +95,7 @@ def tables(text: str, path: Path) -> dict[str, Any]:
             reason += "; what has {i} or ${name} in it stands in quotes"
         raise NotToml(path, text, line, column, f"not valid TOML: {reason}") from None
     except (ValueError, RecursionError) as error:
-        # A number with more digits than Python converts; a date that is none.
+        # A number has more digits than Python converts, or a date does not exist.
         if (number := _DIGITS.search(text)) is not None:
             raise HugeNumber(path, text, *_line_and_column(text, number.start()), TOO_LARGE) from None
         raise NotToml(path, text, 1, 1, f"not valid TOML: {str(error) or 'nested too deeply'}") from None
