@@ -102,12 +102,12 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def parts(self) -> tuple[Component, ...]:
-        """The components that run with it, in order of execution: its members, for an inner composite its parts."""
+        """The components that run with it, in order of execution: members, and the parts of inner composites."""
         return _group(self).parts
 
     @property
     def order(self) -> str:
-        """How its members are ordered: "stated" or "dataflow"."""
+        """The order of its members: "stated" or "dataflow"."""
         return _group(self).order
 
     @property
@@ -117,7 +117,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def own_schedule(self) -> bool:
-        """Whether, inside another composite, it runs in a context of its own."""
+        """Whether this composite, inside another, runs in a context of its own."""
         return _group(self).own_schedule
 
     @property
@@ -200,11 +200,11 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         await membership.transition(_group(self), LifeEvent.ACTIVATE, timeout)
 
     async def deactivate(self, *, timeout: float | None = 5.0) -> None:
-        """Deactivate every active member, in reverse order, as `activate`."""
+        """Deactivate every active member, in reverse order; otherwise like `activate`."""
         await membership.transition(_group(self), LifeEvent.DEACTIVATE, timeout)
 
     async def reset(self, *, timeout: float | None = 5.0) -> None:
-        """Reset every member that is in error, as `activate`."""
+        """Reset every member that is in error; otherwise like `activate`."""
         await membership.transition(_group(self), LifeEvent.RESET, timeout)
 
     # -- membership ------------------------------------------------------------------------------------------------

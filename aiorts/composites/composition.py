@@ -49,7 +49,7 @@ class Export:
 
     @property
     def literal(self) -> bool:
-        """Whether the rule means one port and no other."""
+        """Whether the rule names exactly one port, without wildcards."""
         return not any(mark in self.component + self.port for mark in "*?[")
 
     @property
@@ -58,7 +58,7 @@ class Export:
         return f"{self.component}.{self.port}"
 
     def fits(self, component: str, port: str) -> bool:
-        """Whether the rule means this port."""
+        """Whether the rule exports this port."""
         return fnmatchcase(component, self.component) and fnmatchcase(port, self.port)
 
 
@@ -109,7 +109,7 @@ def shown(rules: Sequence[Export], ports: Iterable[tuple[str, str]], where: str)
     """Exported name -> (component, port), for the existing ports, in their order; each port is exported at most once.
 
     Raises:
-        WiringError: two ports would have one name; both are named.
+        WiringError: two ports would have one name; the message names both ports.
     """
     found: dict[str, tuple[str, str]] = {}
     for component, port in ports:
@@ -130,7 +130,7 @@ def shown(rules: Sequence[Export], ports: Iterable[tuple[str, str]], where: str)
 
 
 def flow_order(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """`names` in an order where writers come before their readers, otherwise as given.
+    """`names` with writers before their readers, otherwise in the given order.
 
     `edges` are (writer, reader). A loop is cut at the member that was given first.
     """
@@ -152,7 +152,7 @@ def flow_order(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> tuple[
 
 
 def _in_loop(name: str, before: Mapping[str, set[str]]) -> bool:
-    """Whether edges lead from a member back to itself; a member behind a loop has to wait for the loop."""
+    """Whether edges lead from a member back to itself; false for a member that only depends on a loop."""
     seen: set[str] = set()
     todo = list(before[name])
     while todo:
@@ -171,7 +171,7 @@ def groups_of(text: str | Sequence[Sequence[str]], members: Sequence[str], where
     Every member is in one group; an empty text means no groups.
 
     Raises:
-        ConfigurationError: a name is unknown, missing or given twice; it is named.
+        ConfigurationError: a name is unknown, missing or given twice; the message has that name.
     """
     if isinstance(text, str):
         parts = text.split("|") if text.strip() else []

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def group_of(component: ComponentSide) -> CompositeGroup | None:
-    """The group of a composite; None where the component is none."""
+    """The group of a composite; None for a component that is no composite."""
     return cast("CompositeGroup | None", cell(component).stands_for)
 
 
@@ -29,13 +29,13 @@ def outer_of(component: ComponentSide) -> CompositeGroup | None:
 
 
 def parts_of(component: Component) -> tuple[Component, ...]:
-    """The components that run where this one is started: itself, or the parts of a composite."""
+    """The components that run when this component is started: itself, or the parts of a composite."""
     group = group_of(component)
     return (component,) if group is None else group.parts
 
 
 def leaves_of(components: Iterable[Component]) -> tuple[Component, ...]:
-    """The components that these consist of, composites resolved, whether they run with these or not."""
+    """These components, with each composite replaced by its members, even those with a schedule of their own."""
     found: list[Component] = []
     for component in components:
         group = group_of(component)

@@ -1,4 +1,4 @@
-"""A composite as the kernel sees it: the components it stands for, their order, and the ports it exports.
+"""The kernel's view of a composite: the components it stands for, their order, and the ports it exports.
 
 A composite never runs itself and adds no hop: its order is laid out when something changes, not in a cycle.
 """
@@ -61,7 +61,7 @@ class CompositeGroup:
         self.own_schedule = own_schedule
         self.given: tuple[Component | str, ...] = ()
         self.brought: dict[Component, str] = {}
-        """The members that stand for components of other kernels, and come and go with the composite: their paths."""
+        """Members that stand for components of other kernels, with their paths; they live as long as the composite."""
         self.groups_given: str | Sequence[Sequence[str]] = ()
         self.exports: tuple[Export, ...] = ()
         """The rules for the ports that it exports."""
@@ -72,7 +72,7 @@ class CompositeGroup:
         self.laid_out: Sequence[Component] = ()
         """The members in order of execution, as it was laid out last."""
         self.started_in: Context | None = None
-        """The context it was started in last; a member's is that of the outermost composite it runs with."""
+        """The context in which it was started last; an inner composite runs in that of `root`."""
         self.known: dict[Port[Any], frozenset[Connector]] = {}
         """The connectors that a port had already when it was exported."""
         self.state_published: LifecycleState | None = None
@@ -114,23 +114,23 @@ class CompositeGroup:
 
     @property
     def is_spread(self) -> bool:
-        """Whether each member has a schedule of its own: the composite is in no context, its state is theirs."""
+        """Whether each member has a schedule of its own: then the composite is in no context, and has their state."""
         return bool(self.members) and all(map(self.runs_apart, self.members))
 
     @property
     def parts_together(self) -> tuple[Component, ...]:
-        """The parts of the composite, or of its members where all have a schedule of their own."""
+        """The parts of the composite; if all members have a schedule of their own, the parts of the members."""
         return self.parts or tuple(part for one in self.inner if self.is_spread for part in one.parts_together)
 
     @property
     def next_out(self) -> CompositeGroup | None:
-        """The outer group, where an error here concerns it, too: this one runs with it, or the outer one is spread."""
+        """The outer group, if an error here concerns it, too: this group runs with it, or the outer group is spread."""
         outer = self.outer
         return outer if outer is not None and (not self.own_schedule or outer.is_spread) else None
 
     @property
     def parts(self) -> tuple[Component, ...]:
-        """The components that run with it, in order: its members, an inner composite replaced by its parts."""
+        """The components that run with it, in order: its members, with inner composites replaced by their parts."""
         return self.line(self.laid_out)
 
     @property
@@ -141,13 +141,13 @@ class CompositeGroup:
 
     @property
     def holds(self) -> bool:
-        """Whether its members run with it, or are about to; else each may run in contexts of its own."""
+        """Whether the members run with the composite, or are about to; else each may run in contexts of its own."""
         context = self.root.started_in
         return context is not None and (context.running or not context.runner.stopping)
 
     @property
     def root(self) -> CompositeGroup:
-        """The outermost group it runs with: itself, when it has a schedule of its own."""
+        """The outermost group that this group runs with; itself if it has a schedule of its own."""
         root = self
         while (outer := root.outer) is not None and not root.own_schedule:
             root = outer
@@ -186,7 +186,7 @@ class CompositeGroup:
         self.laid_out = self.ordered()
 
     def enter_context(self, context: Context | None) -> None:
-        """Set the context it is about to run in, or None."""
+        """Set the context in which the composite is about to run, or None."""
         self.started_in = context
         self.reset_state(None if context is None else LifecycleState.INACTIVE)
         outer = self.next_out
@@ -245,7 +245,7 @@ class CompositeGroup:
             )
 
     def ports_of(self, members: Sequence[Component], rules: Sequence[Any] | None = None) -> dict[str, Port[Any]]:
-        """The ports it would export with these members. WiringError: a name twice, or a port that does not exist."""
+        """The ports that these members and rules export. WiringError: two have one name, or one does not exist."""
         every = {(member.name, name): port for member in members for name, port in member.ports.items()}
         found = shown(self.exports if rules is None else rules, every, self.name)
         return {name: every[place] for name, place in found.items()}
@@ -313,12 +313,12 @@ class CompositeGroup:
                 here.ports = showing
 
     def ports_changed(self) -> None:
-        """Export the ports again, since a member has other ones."""
+        """Export the ports again, since the ports of a member changed."""
         inside = frozenset(port for part in leaves_of(self.members) for port in part.ports.values())
         self.show(self.ports_of(self.members), inside)
 
     def check_new_port(self, member: Component, port: Port[Any]) -> None:
-        """Take a member's new port away again when it cannot be exported, and raise WiringError."""
+        """Check that a member's new port can be exported; if not, remove the port and raise WiringError."""
         try:
             self.check_ports()
         except WiringError:
@@ -347,7 +347,7 @@ class CompositeGroup:
         await membership.transition(self, LifeEvent(what), timeout)
 
     def check_startable(self) -> None:
-        """Raise StateError when the composite runs already, or never runs itself."""
+        """Raise StateError when the composite runs already, or all its members have a schedule of their own."""
         if self.is_spread:
             names = ", ".join(member.name for member in self.members)
             raise StateError(f"{self.name}: each member has a schedule of its own; start {names}, each in its context")

@@ -114,7 +114,7 @@ class _Move:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A requested change of a composite; None keeps what it has."""
+    """A requested change of a composite; None keeps the present value."""
 
     members: Sequence[Component | str] | None = None
     rules: Sequence[Export] | None = None
@@ -125,7 +125,7 @@ class Wanted:
     """The names of members to remove."""
 
     def given(self, composite: CompositeGroup) -> Sequence[Component | str]:
-        """The requested members, computed when the turn of the change has come: another change may have come first."""
+        """The requested members, computed only when this change is carried out: another change may come before it."""
         members = composite.members if self.members is None else self.members
         here = [member.name for member in composite.members]
         for name in self.removing:

@@ -92,7 +92,7 @@ def _nothing() -> Steps:
 
 @dataclass(slots=True)
 class Together(OwnStep):
-    """A step that runs these groups side by side, in each one member after the other; done when all are."""
+    """A step that runs groups side by side, and in each group one member after the other; done when all groups are."""
 
     groups: Sequence[Sequence[Member]]
     hook_of: Callable[[Member], str]

@@ -1,6 +1,6 @@
 """Deactivates the other members when one fails, and activates them again after its recovery.
 
-Each member notes for which errors it was stopped; one that was deactivated on purpose has no such mark and stays off.
+Each member keeps the errors for which it was stopped; a member deactivated on purpose has none and stays off.
 Everything here runs between two cycles, in the thread of the context.
 """
 
@@ -28,7 +28,7 @@ _ERROR, _INACTIVE = LifecycleState.ERROR, LifecycleState.INACTIVE
 
 
 def stop_the_others(composite: CompositeGroup, context: Context, failed: str) -> None:
-    """Deactivate the other members before the next cycle, since one is in error; in the thread of the context.
+    """Deactivate the other members before the next cycle, since one member is in error; in the thread of the context.
 
     Members with schedules of their own are stopped soon after it.
     """
@@ -96,7 +96,7 @@ def _back(context: Context, leaves: Iterable[Component], back: list[str], done: 
 
 
 def _is_active(component: Component, context: Context) -> bool:
-    """Whether a component is active in this context, or, when it is not in this one, where it runs."""
+    """Whether a component is active in this context or, if it is not in this context, in those where it runs."""
     members = cell(component).members
     return any(member.active for member in [one for one in members if one.context is context] or members)
 

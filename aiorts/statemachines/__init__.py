@@ -1,7 +1,7 @@
 """State machines and modes: components whose behaviour is a table of states and transitions.
 
-The interpreter is pure and follows SCXML's order; `machine.py` runs it in a component's hooks. The kernel runs them as
-any other component.
+The interpreter is pure and follows SCXML's order; `machine.py` runs it in a component's hooks. To the kernel these are
+components like any other.
 """
 
 from __future__ import annotations

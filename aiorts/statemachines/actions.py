@@ -30,7 +30,7 @@ def check_acts(cls: type[Any], chart: Chart, events: Mapping[str, str]) -> bool:
     """Check all actions and guards; return whether any action is a coroutine function.
 
     Raises:
-        DeclarationError: names class, place and action, and what it should be.
+        DeclarationError: names class, place and action, and the expected form of the action.
     """
     awaits = False
     for where, act, event in chart.acts:
@@ -89,7 +89,7 @@ def _function(cls: type[Any], where: str, act: Act) -> Any:
 
 
 def _takes(function: Callable[..., Any], before: int) -> bool:
-    """Whether a function takes a required or optional argument beyond those `before`."""
+    """Whether a function takes a further argument after the first `before` arguments."""
     try:
         inspect.signature(function).bind(*([None] * (before + 1)))
     except (TypeError, ValueError):

@@ -14,15 +14,15 @@ class TransitionStructure:
     """One transition."""
 
     event: str
-    """The event that triggers it; "" for none, "after.<state>.<n>" for a timer."""
+    """The event that triggers the transition; "" for none, "after.<state>.<n>" for a timer."""
     target: str | None
-    """The state that it leads to; None when only the actions run."""
+    """The state that the transition leads to; None if it only runs actions."""
     guard: str | None
-    """Its guards as SCXML writes a condition, such as "In('open') && is_near"."""
+    """The transition's guards as a condition of SCXML, such as "In('open') && is_near"."""
     actions: tuple[str, ...]
     local: bool
     delay: float | str | None
-    """Seconds of a timer, or the name of the parameter that has them."""
+    """Seconds of a timer, or the name of the parameter with the seconds."""
 
     @property
     def label(self) -> str:
@@ -43,7 +43,7 @@ class StateStructure:
     kind: str
     """"state", "parallel", "final", "history" or "deep"."""
     initial: tuple[str, ...]
-    """The state entered by default; of a history, the one entered before there is anything to remember."""
+    """The state entered by default; for a history, the state entered while it remembers nothing yet."""
     entry: tuple[str, ...]
     init: tuple[str, ...]
     exit: tuple[str, ...]
@@ -91,7 +91,7 @@ def _transition(chart: Chart, arc: Arc) -> TransitionStructure:
 
 
 def condition_of(guards: tuple[Guard, ...]) -> str | None:
-    """Guards as SCXML writes a condition; None for none."""
+    """Guards as a condition of SCXML; None without guards."""
     return " && ".join(str(guard) if isinstance(guard, In) else _name(guard) for guard in guards) or None
 
 

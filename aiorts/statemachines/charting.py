@@ -1,4 +1,4 @@
-"""Compiles a chart as written into the table that runs, and finds every error that can be known beforehand.
+"""Compiles a declared chart into the table that machines run, and finds every error that can be known beforehand.
 
 States get numbers in the order of writing, the root is 0: a set of states is one integer with a bit for each, and
 SCXML's document order is the order of numbers.
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 ROOT: Final = 0
 ALWAYS: Final = ""
-"""Replaces an event's name where a transition needs no event."""
+"""The event name of transitions that need no event."""
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,99}")
 
 
@@ -54,10 +54,10 @@ class Arc:
     index: int
     source: int
     event: str
-    """The event that triggers it; `ALWAYS` for none, "after.<state>.<n>" for a timer."""
+    """The event that triggers the transition; `ALWAYS` for none, "after.<state>.<n>" for a timer."""
     target: int | None
     guards: tuple[Guard, ...]
-    """The guards as written, those that look at states first."""
+    """The guards as declared; guards about active states come first."""
     asks: tuple[Act, ...]
     """The guards that are methods or functions of the owner."""
     wants: int
@@ -67,7 +67,7 @@ class Arc:
     acts: tuple[Act, ...]
     local: bool
     delay: float | str | None = None
-    """Seconds, or the name of the parameter that has them."""
+    """Seconds of a timer, or the name of the parameter with the seconds."""
 
 
 @dataclass(slots=True, eq=False)
@@ -87,12 +87,12 @@ class Node:
     """States inside, without histories."""
     histories: list[int] = field(default_factory=list)
     initial: int = ROOT
-    """The state entered by default, where only one of several is active; a history's default."""
+    """For a state of which one inner state is active: the one entered by default; for a history: its default."""
     inside: int = 0
     """All states inside, as bits."""
     arcs: list[Arc] = field(default_factory=list)
     defer: tuple[str, ...] = ()
-    """Events that are kept while it is active."""
+    """Events that are deferred while this state is active."""
 
     @property
     def bit(self) -> int:
@@ -101,7 +101,7 @@ class Node:
 
     @property
     def compound(self) -> bool:
-        """Whether exactly one of the states inside is active while it is."""
+        """Whether exactly one of the states inside is active while this state is active."""
         return self.kind == "state" and bool(self.children)
 
 
@@ -141,11 +141,11 @@ class Chart:
             _check_twins(node)
         self.histories: tuple[int, ...] = tuple(node.index for node in self.nodes if node.kind in _HISTORIES)
         self.doing: int = sum(node.bit for node in self.nodes if node.do)
-        """The states that have something to do in each cycle."""
+        """The states with `do` actions for each cycle, as bits."""
         self.deferring: int = sum(node.bit for node in self.nodes if node.defer)
-        """The states that keep events."""
+        """The states that defer events, as bits."""
         self.watchers: tuple[Callable[[Plan], object], ...] = ()
-        """Called with each microstep of every machine on this chart, before it is carried out."""
+        """Functions called with each microstep of every machine on this chart, before it is carried out."""
         self.restless: bool = any(arc.event == ALWAYS for arc in self.arcs)
         """Whether there are transitions that need no event."""
         self.events: frozenset[str] = frozenset(arc.event for arc in self.arcs if arc.delay is None) - {ALWAYS, "*"}
@@ -175,7 +175,7 @@ class Chart:
 
     @property
     def structure(self) -> StateStructure:
-        """The table that runs, frozen: its root with everything inside."""
+        """The chart's table as frozen values: its root with everything inside."""
         from aiorts.statemachines.chart_structure import structure_of
 
         return structure_of(self)
@@ -348,7 +348,7 @@ class Chart:
     # -- what can never happen -------------------------------------------------------------------------------------
 
     def warn_unreachable(self, stacklevel: int) -> None:
-        """Warn of each state that no transition leads to, and of events kept for no transition."""
+        """Warn of each state that no transition leads to, and of deferred events that no transition takes."""
         for node in self.nodes:
             for event in node.defer:
                 if event != "*" and not self.knows(event) and not any(means(event, arc.event) for arc in self.arcs):
@@ -406,7 +406,7 @@ def _check_twins(node: Node) -> None:
 
 
 def _check_event(where: str, event: Any) -> None:
-    """Refuse a text that is no name of an event from outside."""
+    """Refuse a text that is no name for an event from outside."""
     if not isinstance(event, str) or not event or means("after", event) or re.search(r"\s", event):
         raise DeclarationError(f"{where}: expected an event's name, got {event!r}")
     if event.endswith((".", ".*")):
@@ -415,7 +415,7 @@ def _check_event(where: str, event: Any) -> None:
 
 
 def means(name: str, event: str) -> bool:
-    """Whether a transition for `name` takes `event`: the same name, or one that begins with it and a dot."""
+    """Whether a transition for `name` takes `event`: it is `name`, or begins with `name` and a dot."""
     return name == event or (name != ALWAYS and event.startswith(name) and event[len(name)] == ".")
 
 
@@ -428,5 +428,5 @@ def bits(states: int) -> Iterator[int]:
 
 
 def hint(name: str, known: Any) -> str:
-    """A near name, or all names there are."""
+    """A hint at a similar name, or at all known names."""
     return f"; {suggestion(name, known)}"

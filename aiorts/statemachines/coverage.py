@@ -26,7 +26,7 @@ class ChartCoverage:
         self._arcs = dict.fromkeys(chart.arcs, 0)
 
     def watch(self, plan: Plan) -> None:
-        """Count what one microstep enters and takes."""
+        """Count the states that one microstep enters, and the transitions that it takes."""
         for step in plan.steps:
             if step.what is ENTRY and step.state != ROOT:
                 self._states[step.state] += 1
@@ -40,7 +40,7 @@ class ChartCoverage:
 
     @property
     def transitions(self) -> Mapping[str, int]:
-        """How often each transition was taken, by the text that `chart_paths` has for it, too."""
+        """How often each transition was taken, by its text, which `chart_paths` uses, too."""
         return MappingProxyType({transition_text(self._chart, arc): count for arc, count in self._arcs.items()})
 
     @property
@@ -50,7 +50,7 @@ class ChartCoverage:
         return tuple(what for what, count in counts if not count)
 
     def check(self) -> None:
-        """Raise AssertionError, which names what was not reached, unless everything was."""
+        """Raise AssertionError with the missing states and transitions, if any are missing."""
         if missing := self.missing:
             whole = len(self._states) + len(self._arcs)
             lines = "".join(f"\n  {what}" for what in missing)
@@ -70,7 +70,7 @@ def chart_coverage(chart: Chart | type[StateMachineComponent]) -> Iterator[Chart
 
 
 def transition_text(chart: Chart, arc: Arc) -> str:
-    """A transition in words that no other of its chart has."""
+    """The text of a transition, unique in its chart."""
     guards = condition_of(arc.guards)
     text = chart.describe(arc) + (f" [{guards}]" if guards else "")
     twins = [

@@ -21,7 +21,7 @@ class EventPort(InPort[T]):
 
     Args:
         type, unit, shape, doc, name, max_connectors: see `Port`.
-        event: the event's name, where it is not the port's.
+        event: the event's name; by default the name of the port.
     """
 
     __slots__ = ("event",)
@@ -42,7 +42,7 @@ class EventPort(InPort[T]):
 
 
 def event_of(connector: Connector | None, event: str) -> str:
-    """The name of an event that came through `connector` to a port of `event`."""
+    """The name of an event that came through `connector` to a port whose own event name is `event`."""
     if connector is None:
         return event
     extra = connector.profile.extra

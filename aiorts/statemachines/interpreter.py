@@ -22,9 +22,9 @@ from aiorts.statemachines.statechart import Act
 
 Steps: TypeAlias = Generator[Step, None, None]
 ENDLESS: Final = 1000
-"""Microsteps that one event may take; more is taken for an endless loop."""
+"""The most microsteps of one event; more count as an endless loop."""
 DEFERRED: Final = 8192
-"""Events that a machine keeps for later."""
+"""The most deferred events that a machine keeps."""
 
 
 class MachineEvent(NamedTuple):
@@ -34,7 +34,7 @@ class MachineEvent(NamedTuple):
     data: Any = None
     """Its data: a port's sample, or the argument of `send`."""
     is_own: bool = False
-    """Whether the machine made it: a timer, or "done.state.<name>"; "*" does not match these."""
+    """Whether the machine made the event: for a timer, or "done.state.<name>"; "*" does not match such events."""
 
 
 class Machine:
@@ -81,7 +81,7 @@ class Machine:
         self.ended = False
         """Whether a final state at the top was entered."""
         self.ignored = 0
-        """Events from outside, and timers, that led to nothing."""
+        """The number of events from outside, and of timers, without any effect."""
         self.deferred: deque[MachineEvent] = deque()
         """Events that are kept until no active state defers them."""
         self.timers: dict[int, tuple[int, int]] = {}
@@ -117,7 +117,7 @@ class Machine:
         yield from self._settle()
 
     def handle(self, event: MachineEvent) -> Steps:
-        """Carry out an event with all that follows from it; without a transition for it, only those without event."""
+        """Carry out an event with all that follows; if no transition takes it, only transitions without event."""
         self.event = event
         plan = chosen(self.chart, self.states, self.history, event.name, self._guard, not event.is_own)
         if plan is not None:
@@ -130,7 +130,7 @@ class Machine:
         self.event = None
 
     def recalled(self) -> MachineEvent | None:
-        """Take out the oldest deferred event that a transition takes now, or that no state defers any more.
+        """Remove and return the oldest deferred event that a transition takes now, or no active state defers any more.
 
         The caller handles it before any newer one. A state may both defer an event and have a transition for it whose
         guard was false before: the order of arrival is kept, as UML has it for the events in a machine's pool.
@@ -176,7 +176,7 @@ class Machine:
         self.event = None
 
     def due(self, now_ns: int) -> MachineEvent | None:
-        """Take the event of the first timer that is due."""
+        """Remove the first timer that is due, and return its event."""
         if not self.timers:
             return None
         (deadline, _), index = min((when, index) for index, when in self.timers.items())
@@ -196,7 +196,7 @@ class Machine:
         return all(self._says_yes(guard, self.event) for guard in arc.asks)
 
     def _defer(self, event: MachineEvent) -> bool:
-        """Keep an event that no transition takes, where an active state defers it."""
+        """Keep an event that no transition takes if an active state defers it; return whether it is kept."""
         if event.is_own or not self.chart.deferring & self.states or not defers(self.chart, self.states, event.name):
             return False
         if len(self.deferred) >= DEFERRED:

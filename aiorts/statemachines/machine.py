@@ -9,7 +9,7 @@ CPython 3.11, microseconds for one event, flat and three levels deep, in one int
     sismic 1.6.14                                                -      76
     Automat 25.4                                               6.8       -
 
-Through a port, the context and the component it is 3.4 in a cycle of many events and 10 in a cycle of its own.
+An event through a port, the context and the component takes 3.4 in a cycle of many events and 10 in its own cycle.
 python-statemachine has everything but a foreign clock: delays go by `time.monotonic` and a polling sleep, and it takes
 60 ms to import; transitions has no history, timers by threads or `asyncio.sleep`; sismic takes any clock, but runs
 actions as text through `exec`, has no `async` and needs three packages; Automat is flat. A timer that is not the
@@ -41,7 +41,7 @@ __all__ = ("EventPort", "StateMachine", "StateMachineComponent")
 T = TypeVar("T")
 _ACTIVE = LifecycleState.ACTIVE
 _PAUSE: Final = 0.001
-"""Seconds that its thread rests between cycles when no rate is given."""
+"""Seconds that the thread of a machine rests between cycles in a context without a rate."""
 _HOOKS: Final = ("on_activated", "on_deactivated", "on_execute")
 
 
@@ -177,12 +177,12 @@ def _events(declared: Mapping[str, object]) -> dict[str, str]:
 
 
 def _after(component: StateMachineComponent) -> None:
-    """Handle the end of one of the machine's hooks."""
+    """At the end of one of the machine's hooks, arm the next timer and notify the context of waiting events."""
     machine = component.machine
     if machine._core.timers or machine._wake is not None:
         machine._arm()
     if machine._arrivals and hasattr(component.context, "trigger"):
-        # Sent by an action, or in the middle of the cycle: the context is notified after it.
+        # An action sent an event, or one came in the middle of the cycle: the context is notified after the cycle.
         cell(component).loop.call_soon(machine._trigger)
 
 

@@ -8,7 +8,7 @@ from aiorts.late import dataclass
 
 @dataclass(frozen=True, slots=True)
 class MachineBefore(Event):
-    """Published before an action runs; one for each state and moment, also where there is no action."""
+    """Published before an action runs; also once for each state and moment without an action."""
 
     component: str
     what: str
@@ -16,12 +16,12 @@ class MachineBefore(Event):
     state: str
     """The state concerned; "" for the machine as a whole."""
     event: str
-    """The event that caused it; "" for none."""
+    """The event that caused the action; "" for none."""
 
 
 @dataclass(frozen=True, slots=True)
 class MachineAfter(Event):
-    """Published after an action has run; `error` is what it raised."""
+    """Published after an action has run; `error` is the exception that it raised, or None."""
 
     component: str
     what: str

@@ -60,7 +60,7 @@ class _Drawing:
             if way.target is not None:
                 other = self._around[way.target]
                 both = [one for one, two in zip(own, other, strict=False) if one is two]
-                # The regions of a parallel state are drawn apart: an arrow between two stands outside.
+                # The regions of a parallel state are drawn separately: an arrow between two of them is written outside.
                 holder = next((one for one in reversed(both) if one.kind != "parallel"), None)
                 label = way.label
                 arrow = f"{self.ids.get(state.name, '[*]')} --> {self.ids[way.target]}" + (

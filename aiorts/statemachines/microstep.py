@@ -21,7 +21,7 @@ DO: Final = "do"
 WAY: Final = "transition"
 
 _KEPT: Final = 4096
-"""Plans that a chart keeps; a chart with many regions has more configurations than memory should hold."""
+"""The most plans that a chart keeps: a chart with many regions has more configurations than memory should hold."""
 
 
 class Step(NamedTuple):
@@ -31,7 +31,7 @@ class Step(NamedTuple):
     state: int
     acts: tuple[Act, ...]
     raises: tuple[str, ...] = ()
-    """Events that follow from it, for the machine itself."""
+    """Events that the step raises for the machine itself."""
 
 
 class Plan(NamedTuple):
@@ -68,7 +68,7 @@ def chosen(
 
 
 def defers(chart: Chart, states: int, event: str) -> bool:
-    """Whether an active state keeps an event that no transition takes."""
+    """Whether an active state defers an event that no transition takes."""
     return any(_keeps(chart.nodes[index], event) for index in bits(chart.deferring & states))
 
 
@@ -110,7 +110,7 @@ def _candidates(chart: Chart, states: int, event: str, listed: bool) -> list[tup
                 if (means(arc.event, event) or (listed and arc.event == "*"))
                 and not (arc.wants & ~states or arc.bars & states)
             ]
-            # A state that keeps the event hides the transitions of those around it.
+            # A state that defers the event hides the transitions of the states around it.
             if node.index == ROOT or (listed and node.defer and _keeps(node, event)):
                 break
             node = chart.nodes[node.parent]
@@ -120,7 +120,7 @@ def _candidates(chart: Chart, states: int, event: str, listed: bool) -> list[tup
 
 
 def _planned(chart: Chart, states: int, history: tuple[int, ...], taken: tuple[Arc, ...]) -> Plan | None:
-    """The microstep of these transitions, given in the order of the states they were found from."""
+    """The microstep of these transitions, which are in the order of the states they were found from."""
     if not taken:
         return None
     key = states, history, taken
@@ -218,7 +218,7 @@ def _backwards(chart: Chart, states: int) -> Iterator[Node]:
 
 
 class _Entering:
-    """The states to enter, collected downwards from targets and upwards to the active state."""
+    """Collects the states to enter: downwards from targets, and upwards to the state that stays active."""
 
     def __init__(self, chart: Chart, history: tuple[int, ...]) -> None:
         self._chart = chart
@@ -228,7 +228,7 @@ class _Entering:
         """States that enter their initial state by themselves."""
 
     def target(self, index: int) -> None:
-        """Enter the states that a target stands for, and those below."""
+        """Enter the states that a target stands for, and the states inside them."""
         node = self._chart.nodes[index]
         if node.kind in ("history", "deep"):
             meant = _meant(self._chart, self._history, index)
@@ -250,7 +250,7 @@ class _Entering:
             self.down(node.initial)
 
     def up(self, index: int, domain: int) -> None:
-        """Enter the states between a state and the one that stays active."""
+        """Enter the states between a state and `domain`, the state that stays active."""
         index = self._chart.nodes[index].parent
         while index != domain and index != ROOT:
             node = self._chart.nodes[index]
@@ -266,7 +266,7 @@ class _Entering:
                 self.down(child)
 
     def steps(self, states: int) -> tuple[tuple[Step, ...], bool]:
-        """The steps that enter them, in order, where `states` are active before; and whether the machine has ended."""
+        """The steps that enter the collected states, `states` being active before; and whether the machine has ended."""
         found: list[Step] = []
         ends = False
         for index in bits(self._enter):

@@ -53,9 +53,9 @@ class _Modes:
         self.newest = mode
         """The mode requested last that took effect in some context."""
         self.by_context: dict[str, str] = {}
-        """The mode in each context, while not all contexts are in the newest."""
+        """The mode in each context, while contexts differ in mode."""
         self.pending: list[list[str]] = []
-        """Requests that have not taken effect: one entry, its own object, for each."""
+        """Requests that have not taken effect yet: one list object for each."""
 
     def of(self, context: str) -> str:
         """The mode in a context."""

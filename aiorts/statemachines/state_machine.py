@@ -70,7 +70,7 @@ class StateMachine(MadeByClass):
         """Events seen before: one without any transition is logged once."""
         self._naming: set[InPort[Any]] = set()
         self._lost = 0
-        """Events without room that were logged."""
+        """The number of events without room that have been logged."""
         self._observed = False
         self._participants: tuple[Participant, ...] = ()
 
@@ -78,7 +78,7 @@ class StateMachine(MadeByClass):
 
     @property
     def chart(self) -> Chart:
-        """The table that runs."""
+        """The chart that the machine runs."""
         return self._core.chart
 
     @property
@@ -91,11 +91,11 @@ class StateMachine(MadeByClass):
 
     @property
     def structure(self) -> StateStructure:
-        """The table that runs, frozen: states, transitions, actions, timers."""
+        """The chart's table as frozen values: states, transitions, actions, timers."""
         return self.chart.structure
 
     def to_mermaid(self) -> str:
-        """The diagram of the table that runs, with the active states marked."""
+        """The diagram of the chart, with the active states marked."""
         return self.chart.to_mermaid(self.configuration)
 
     def _repr_markdown_(self) -> str:
@@ -126,7 +126,7 @@ class StateMachine(MadeByClass):
         return bool(self._core.states >> self.chart.number(state) & 1)
 
     def send(self, event: str, data: Any = None) -> None:
-        """Queue an event behind those that have arrived. Outside of hooks it wakes an event context.
+        """Queue an event after those that have arrived. A call outside of hooks wakes an event context.
 
         Raises:
             StateError: the component is not active, or 8192 events wait.
@@ -174,7 +174,7 @@ class StateMachine(MadeByClass):
         self._participants = tuple(pairs.get(one, one) for one in self._participants)
 
     def remove_participant(self, component: Participant) -> None:
-        """Notify a participant no more; without effect if it was none."""
+        """Stop notifying a participant; without effect for a component that is none."""
         self._participants = tuple(one for one in self._participants if one is not component)
         set_notifiers(component, tuple(one for one in notifiers_of(component) if one is not self))
 
@@ -249,13 +249,13 @@ class StateMachine(MadeByClass):
             yield from self._recall()
 
     def _recall(self) -> Calls:
-        """Carry out the events that are deferred no more, before any newer one."""
+        """Carry out the events that no state defers any more, before any newer event."""
         core = self._core
         while (event := core.recalled()) is not None:
             yield from self._perform(core.handle(event), event.name)
 
     def _taken(self) -> Iterator[MachineEvent]:
-        """The events that had arrived when the cycle began, in order; later ones are for the next: every cycle ends."""
+        """The events that had arrived when the cycle began, in order; later ones wait, so that each cycle ends."""
         arrivals, events = self._arrivals, self._events
         if len(arrivals) >= QUEUED:
             self._component.kernel.call_on_loop(self._report_lost)
@@ -291,13 +291,13 @@ class StateMachine(MadeByClass):
         return MachineEvent(event, sample)
 
     def _arrived(self, port: InPort[Any]) -> bool:
-        """Record an arrival: between ports, too, the machine takes events in the order of arrival."""
+        """Record an arrival at a port, so that the machine takes the events of all ports in the order of arrival."""
         if len(self._arrivals) < QUEUED:
             self._arrivals.append(port)
         return True
 
     def _report_lost(self) -> None:
-        """Log how many events found no room since the last time; on the loop, where ledgers are read."""
+        """Log how many events found no room since the last log entry; runs on the loop, where ledgers are read."""
         connectors = [each for port in self._events for each in port.connectors if each.profile.length == QUEUED]
         before, self._lost = self._lost, sum(each.statistics.dropped.get("overwritten", 0) for each in connectors)
         if self._lost > before:
@@ -328,7 +328,7 @@ class StateMachine(MadeByClass):
                         function, takes = self._act(act)
                         yield function, ((None if core.event is None else core.event.data,) if takes else ())
         finally:
-            # Closed now, not by the garbage collector: states that were being left are left.
+            # The generator is closed now, not by the garbage collector: states that an event was leaving count as left.
             steps.close()
             if core.states != before:
                 self._changed(before, event)

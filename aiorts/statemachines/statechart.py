@@ -1,4 +1,4 @@
-"""The table of a state machine as it is written: states, transitions, timers, history.
+"""The declaration of a state machine's table: states, transitions, timers, history.
 
     Chart(
         State("closed", On("button", to="open"), initial=True),
@@ -26,7 +26,7 @@ Acts: TypeAlias = "Act | Sequence[Act] | None"
 
 @dataclass(frozen=True, slots=True)
 class In:
-    """A guard: whether a state of the chart is active; `~In("open")` is whether it is not."""
+    """A guard that is true while a state of the chart is active; `~In("open")` is true while it is not."""
 
     state: str
     active: bool = True
@@ -44,7 +44,7 @@ class In:
 
 Guard: TypeAlias = "Act | In"
 Guards: TypeAlias = "Guard | Sequence[Guard] | None"
-"""No guard, one, or several that must all be true; those that only look at states come first."""
+"""No guard, one, or several that must all be true; `In` guards are evaluated first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,16 +52,16 @@ class On:
     """A transition for an event.
 
     Without `to` it is internal: only the action runs, no state is left or entered. With `to` it is external: its
-    state is left and entered again where the target lies inside. `local=True` keeps a state that contains the target
+    state is left and entered again even if the target lies inside. `local=True` keeps a state that contains the target
     active. The first in the order of writing whose guard is true is taken; inner states come first.
     """
 
     event: str
-    """The event's name, which also matches each that begins with it and a dot ("door" matches "door.open", as in
-    SCXML). "*" matches any that comes through a port or `send`."""
+    """The event's name, which also matches names that begin with it and a dot ("door" matches "door.open", as in
+    SCXML). "*" matches any event that comes through a port or `send`."""
     to: str | None = None
     guard: Guards = None
-    """A predicate without side effects, never `async`; `In` looks at another state."""
+    """A predicate without side effects, never `async`; `In` tests whether another state is active."""
     action: Acts = None
     local: bool = False
 
@@ -70,7 +70,7 @@ class On:
 class After:
     """A transition `seconds` after its state was entered, on the kernel's clock; leaving the state ends the timer.
 
-    It fires once for each entry, whatever its guard returns then.
+    It fires once for each entry; if its guard is false then, it does not fire again.
     """
 
     seconds: float | str
@@ -99,7 +99,7 @@ Way: TypeAlias = On | After | Always
 
 
 class State:
-    """One state, with transitions and states inside; their order decides.
+    """One state, with transitions and states inside; earlier transitions are tried first.
 
     Args:
         name: letters, digits, "_" and "-"; unique in its chart.
@@ -183,14 +183,14 @@ class End(State):
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """A target that stands for the states that were active in the state around it when that was last left.
+    """A target that stands for the states that were active in the state around it when that state was last left.
 
     Shallow: its own states; those inside them begin at their initial state. `deep=True`: all states inside.
     """
 
     name: str
     to: str | None = None
-    """Its target before the first time; by default the initial state, or all regions."""
+    """The target while there is no history yet; by default the initial state, or all regions."""
     deep: bool = False
 
 
@@ -202,7 +202,7 @@ def acts_of(acts: Acts) -> tuple[Act, ...]:
 
 
 def guards_of(guards: Guards) -> tuple[Guard, ...]:
-    """One guard, several or none, as a tuple: those that look at states first."""
+    """One guard, several or none, as a tuple: `In` guards first."""
     if guards is None:
         return ()
     those = tuple(guards) if isinstance(guards, Sequence) and not isinstance(guards, str) else (guards,)

@@ -1,8 +1,8 @@
 """An array as one binary value: element type, number of dimensions and shape in front of its bytes.
 
 Layout, little-endian: element code (1 byte), dimensions (1), six zeros, one u64 for each length, then the elements in
-C order. The head is a multiple of eight bytes, so that the elements are aligned in the `bytes` of the parser, which the
-decoded array uses as they are.
+C order. The head is a multiple of eight bytes, so that the elements are aligned in the `bytes` of the parser; the
+decoded array uses that memory directly.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _CODES = {name: code for code, name in enumerate(ELEMENTS, start=1)}
 _HEADS = tuple(struct.Struct(f"<BB6x{dimensions}Q") for dimensions in range(MAX_DIMENSIONS + 1))
 _LONGEST = 2**62
 _empty: dict[bytes, npt.NDArray[Any]] = {}
-"""Arrays of one dimension without elements, by their bytes: one array of each element type serves for all."""
+"""Empty arrays of one dimension, by their bytes: one shared array for each element type."""
 
 
 _little: dict[str, np.dtype[Any]] = {}
-"""The little-endian types of numpy, by their names without the byte order: to make one takes as long as an array."""
+"""The little-endian types of numpy, by names without byte order; kept, since making a type takes as long as an array."""
 
 
 def pack_array(array: npt.NDArray[np.generic]) -> bytes:
@@ -58,7 +58,7 @@ def _little_endian(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
 def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
     """A read-only array on the memory of `data`.
 
-    WireError, before anything is allocated, if its head does not describe it.
+    WireError, before anything is allocated, if the head in `data` does not describe the elements.
     """
     return _array(data, None, where)
 
@@ -66,7 +66,7 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
 def array_of_part(head: Any, part: bytes | bytearray | memoryview, where: str) -> npt.NDArray[Any]:
     """A read-only array on the memory of `part`, which is contiguous bytes.
 
-    WireError, before anything is allocated, if the head does not describe it.
+    WireError, before anything is allocated, if the head does not describe the part.
     """
     return _array(head, part, where)
 
@@ -107,7 +107,7 @@ def _view(
     import numpy as np
 
     if offset == len(data):
-        # frombuffer refuses an empty buffer; lengths next to a zero are harmless, but numpy multiplies them.
+        # frombuffer refuses an empty buffer; numpy would multiply huge lengths next to a zero, which are harmless.
         if math.prod(length for length in shape if length) * int(dtype[1:]) > _LONGEST:
             raise WireError(f"{where}: expected a shape that an array can have, got {shape}")
         return np.empty(shape, dtype=dtype)

@@ -1,8 +1,8 @@
 """Records to bytes and back: one msgpack list `[1, type name, fields]` for each record, within limits on both sides.
 
 A type name is looked up, and imports nothing but the class that a plugin declares under it. Bytes are untrusted:
-whatever they are, `decode` returns a checked record or raises WireError, and it allocates nothing that the frame has no
-bytes for.
+`decode` always returns a checked record or raises WireError, and allocates no more than the bytes of the frame can
+fill.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 FORMAT = 1
-"""The version of the frames, with which each frame begins."""
+"""The version of the frame format; each frame begins with it."""
 
-# A packer keeps the room that its largest frame took.
+# A packer keeps the memory that its largest frame needed.
 _KEPT = 1_048_576
 
 
@@ -42,7 +42,7 @@ class Codec(Protocol):
         ...
 
     def decode(self, data: bytes, expected: type | None = None) -> Any:
-        """The record of one frame. WireError if the frame is not one, or not one of `expected` or its subclasses."""
+        """The record of one frame. WireError if it is no frame, or its record is not of the class `expected`."""
         ...
 
 
@@ -54,12 +54,12 @@ class PartsCodec(Protocol):
         ...
 
     def decode_parts(self, head: Buffer, parts: Sequence[Buffer], expected: type) -> Any:
-        """The record of exactly the class `expected`, on the memory of head and parts. WireError if it is none."""
+        """The record of exactly the class `expected`, on the memory of head and parts. WireError if there is no such record."""
         ...
 
 
 class _WithParts:
-    """Heads and parts of a codec that only knows frames: all is in the head."""
+    """Makes heads and parts with a codec that only knows frames: the head is the frame, and there are no parts."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
@@ -89,7 +89,7 @@ class MsgpackCodec:
 
     def __init__(self, limits: Limits = DATA) -> None:
         self.limits = limits
-        # A frame of no more bytes than this cannot break any limit.
+        # A frame up to this size cannot exceed any limit.
         self._unchecked = min(limits.string, limits.length, limits.values, limits.frame, limits.head)
         self._uncounted = min(SHORT, limits.values)
         is_roomy = self._unchecked >= SHORT
@@ -239,7 +239,7 @@ class MsgpackCodec:
     def heads_encoder(self, cls: type) -> Callable[[Sequence[Any]], Sequence[bytes]] | None:
         """A function that makes the heads of several records of exactly this class, whose frames have no parts.
 
-        It makes none where a record is of another class. None: `parts_encoder` has to look at each record.
+        The function returns no heads if a record is of another class. None: use `parts_encoder` for each record.
         """
         target, _, packed, _ = _parts_of(cls)
         if packed is None:
@@ -254,7 +254,7 @@ class MsgpackCodec:
     def heads_decoder(self, cls: type) -> Callable[[Sequence[Buffer]], Iterator[Any]] | None:
         """A function that makes the records of such heads in turn; it raises at the first bad head.
 
-        None: `parts_decoder` has to look at each head.
+        None: use `parts_decoder` for each head.
         """
         packed = _parts_of(cls)[2]
         if packed is None:
@@ -296,7 +296,7 @@ class MsgpackCodec:
         """The record in a frame, any contiguous buffer; arrays in it use the parsed bytes without another copy.
 
         WireError if the frame is damaged, of another version, of an unknown type, or not of `expected` (or a subclass);
-        LimitError, which is one, if it is larger than allowed.
+        LimitError, a WireError, if the frame is larger than allowed.
         """
         try:
             if type(data) is not bytes:
@@ -352,8 +352,8 @@ _encoders: dict[type, Callable[[Any], bytes]] = {}
 _decoders: dict[bytes, Callable[[bytes, type | None], Any]] = {}
 """The decoders of short frames, by the type name in the frame."""
 _packers: list[Any] = []
-"""The packers that are not in use: to make one takes as long as to pack a small record. `encode` takes one out, so that
-threads never share one."""
+"""The packers that are not in use, since making a packer takes as long as packing a small record. `encode` removes a
+packer while it uses it, so that threads never share one."""
 
 
 def _new_packer() -> Any:

@@ -1,8 +1,8 @@
 """Frames of checked records, read by functions that are generated for their fields, and written where all are numbers.
 
-The functions write and read the frames of `forms`, and decide nothing again for each frame. Frames that they do not
-read, such as with fields in another order or a value of another type, they leave to the general way, which takes the
-frame or names its fault. A record of nothing but numbers is one structure: every byte between its numbers is the same
+The functions write and read the frames of `forms`, with all decisions made once for a type. Other frames, such as with
+fields in another order or a value of another type, are left to the general way, which reads the frame or names its
+fault. A record of nothing but numbers is one structure: every byte between its numbers is the same
 in each frame.
 """
 
@@ -34,7 +34,7 @@ _NUMBERS: Final = {
     "i8": ("b", 0xD0), "i16": ("h", 0xD1), "i32": ("i", 0xD2), "i64": ("q", 0xD3), "f64": ("d", 0xCB),
     "u8": ("B", 0xCC), "u16": ("H", 0xCD), "u32": ("I", 0xCE), "u64": ("Q", 0xCF), "stamp": ("Q", 0xCF),
 }  # fmt: skip
-"""The code of a packed number, and the byte before it. f32 travels as f64, and is left out."""
+"""The code of a packed number, and the byte that precedes the number. f32 is left out: it travels as f64."""
 
 
 class Direct(NamedTuple):
@@ -48,7 +48,7 @@ class Direct(NamedTuple):
 
 
 def direct_of(structure: Structure, version: int, name: str) -> Direct | None:
-    """The functions for records of this structure and wire name; None where only the general way takes them."""
+    """The functions for records of this structure and wire name; None for records that only the general way handles."""
     leaves = list(_leaves(structure, "")) if _is_short(structure) else []
     if not leaves:
         return None
@@ -136,14 +136,14 @@ def _wanted(structure: Structure, too_long: str, known: dict[str, Any]) -> list[
     """The lines that leave a frame to the general way if it is too long, or not of the expected class."""
     known |= {"cls": structure.cls, "full_name": full_name(structure.cls), "types": all_types()}
     return [
-        # The class may have been defined again: then another class has its name.
+        # If the class was defined again, another class has its name now.
         f"if {too_long} or (expected is not None and expected is not cls) or types.get(full_name) is not cls:",
         " return None",
     ]
 
 
 def number_builder(structure: Structure) -> Callable[..., Any]:
-    """The maker of a record from its numbers, in order, those of nested records too, each of the right class.
+    """A function that makes a record from its numbers, in order, nested ones included, each of the right class.
 
     The maker raises RecordError where a time stamp is too large, or a record refuses its fields. A record without
     conditions of its own is filled, not constructed: a TimedPose3D takes 0.9 us instead of 1.9 us.
@@ -191,7 +191,7 @@ def _building(structure: Structure, known: dict[str, Any]) -> list[str]:
 
 
 _CHECKED: Final = {"stamp": "if {0} >= LIMIT: "}
-"""Numbers whose kind takes less than their code: the condition on which they are checked."""
+"""For kinds that accept fewer values than their code: the condition on which a number is checked."""
 
 
 _REFUSED: Final = (RecordError, ValueError, TypeError, msgpack.UnpackException)

@@ -28,13 +28,13 @@ Take = Callable[[Any, str], Any]
 
 
 class Form(NamedTuple):
-    """A record to the value that msgpack packs, and back. `take` raises WireError or RecordError naming the field."""
+    """Turns a record into the value that msgpack packs, and back. `take` raises WireError or RecordError with the field."""
 
     put: Put
     take: Take
 
 
-# None: the value goes into the frame as it is, and the record's constructor checks a value that comes out of one.
+# None: the value goes into the frame unchanged; the record's constructor checks a value read from a frame.
 Pair = tuple[Put | None, Take | None]
 _forms: dict[type, Form] = {}
 
@@ -233,7 +233,7 @@ def _take_entries(entries: Any, where: str, levels: int) -> Any:
     for name, entry in entries.items():
         cls = type(entry)
         if cls is bytes:
-            # Its place is written only where it is no array: that takes as long as to read the array.
+            # The text of its place is made only if it is no array, because that takes as long as reading an array.
             with suppress(WireError):
                 found[name] = unpack_array(entry, where)
                 continue

@@ -82,7 +82,7 @@ class LineWriter:
 
 
 def _number_of(cls: type) -> Any:
-    """int or float, where records of `cls` are nothing but a time in ns and one number, checked when they are made."""
+    """int or float if records of `cls` are checked and have only a time in ns and one such number; else None."""
     if cls not in _numbers:
         _numbers[cls] = _found_number_of(cls)
     return _numbers[cls]
@@ -105,7 +105,7 @@ class LineReader:
     """Reads lines for the given in-ports.
 
     With a single in-port every line is for it, whatever port the line names: that of its writer. A line of
-    `output1` is for `input1` where there is no in-port `output1`: filters in a pipe need not be told their names.
+    `output1` is for `input1` where there is no in-port `output1`: filters in a pipe need not know each other's names.
 
     Args:
         ports: the type of each in-port by its name; at least one.
@@ -178,7 +178,7 @@ class _Form:
         self._number = _number_of(cls) is not None
 
     def check_type(self, name: Any) -> None:
-        """Check the type that a line names. RecordError: it is another one."""
+        """Check the type that a line names. RecordError: it is not the type of this form."""
         if name is not None and (type(name) is not str or name not in self._names):
             raise RecordError(f"a {_shown(name)} for a port of {self._name}; {self._advice(name)}")
 

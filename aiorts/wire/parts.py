@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 BESIDE: Final = 16_384
 """The least bytes of an array that is a part, apart from the head."""
 _LARGEST_ARRAY: Final = BESIDE + 8 + 8 * MAX_DIMENSIONS
-"""Bytes that no array in a head has, its own head included."""
+"""A size above that of any array inside a head, including the array's own head."""
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Put: TypeAlias = Callable[[Any, list[memoryview]], Any]
 Take: TypeAlias = Callable[[Any, str, Iterator[Buffer]], Any]
@@ -80,14 +80,14 @@ def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | Non
 
 
 class Positions(NamedTuple):
-    """The way of a value into a frame and back: from and to the value that msgpack packs."""
+    """Two functions for a value: to the value that msgpack packs, and back."""
 
     put: Put
     take: Take
 
 
 def positions_of(kind: Kind) -> Positions:
-    """The way of a kind's values into a frame and back."""
+    """The functions that put a kind's values into a frame, and take them out."""
     for base, make in _MAKERS:
         if isinstance(kind, base):
             return make(kind)
@@ -148,7 +148,7 @@ def _record_taker(structure: Structure, takes: Sequence[Take], wheres: Sequence[
 
 
 def _settled(kind: Kind) -> bool:
-    """Whether taken values of a kind are ready to travel on: a record around them need not look into them again."""
+    """Whether decoded values of a kind are ready to travel on, so that a record around them need not check them."""
     if isinstance(kind, OptionalKind):
         return _settled(kind.inner)
     if isinstance(kind, FixedTupleKind):

@@ -1,6 +1,6 @@
 """Walk a msgpack frame without building anything: count the values that it claims, and check that they can be there.
 
-A header of three bytes may claim 65,535 items, and a parser that believes it allocates memory for them. So every claim
+A header of three bytes may claim 65,535 items, and a parser that trusts it allocates memory for them. So every claim
 is counted, and compared with the bytes that are left, before the parser sees the frame. The walk does not recurse: it
 keeps the number of values still to come, and for each open container the number at which it ends.
 """

@@ -1,4 +1,4 @@
-"""Explains the bytes of records to readers that do not have the type: a JSON Schema of each type.
+"""Describes the bytes of records to readers without the type, by a JSON Schema of each type.
 
 A frame of the msgpack codec is explained with `x-array` for its arrays; in JSON a record is an object that Foxglove
 shows as it is.

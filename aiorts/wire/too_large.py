@@ -1,4 +1,4 @@
-"""The types whose samples may be larger than a frame may be, known from their fields before any sample is there."""
+"""Finds types whose samples may be too large for a frame, from their fields, before there is any sample."""
 
 from __future__ import annotations
 

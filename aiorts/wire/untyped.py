@@ -1,4 +1,4 @@
-"""Frames of records whose class is not here, to plain values, for tools that only know the text of a layout.
+"""Decodes frames of records without their class to plain values, for tools that only have the text of a layout.
 
 The text comes from another kernel and is data: it is walked, and refused where it is not as `layout_text` writes it.
 Nothing is imported, compiled or made a class because of it.
