@@ -49,7 +49,7 @@ class EventMember(Member):
         self.triggered = False
 
     def notify(self, port: InPort[object]) -> None:
-        """Note that a sample came in: this member has a cause to run."""
+        """Record that a sample came in, which is a cause for this member to run."""
         # Written out: every sample waits for this before its hook runs.
         self.in_ports.notified.append(port)
         if not self.ready:
@@ -111,14 +111,14 @@ class EventContext(Context):
             self._every_ns = to_ns(every)
             self._due: dict[_RepeatedMember, int] = {}
             """The time at which each active member runs without another cause; the next one first."""
-            # In the place of what the class has: a context without `every` pays nothing for it.
+            # These replace attributes of the class, so that a context without `every` pays nothing for `every`.
             self._member_class = _RepeatedMember  # type: ignore[misc]
             self._next_cause = self._next_cause_or_due  # type: ignore[method-assign]
             self._begin_cycle = self._begin_with_due  # type: ignore[method-assign]
         self._ready: list[EventMember] = []
         """Members marked ready. Empty while the context sleeps: the first entry wakes it."""
         self._everyone: Sequence[EventMember] = ()
-        """The members when all were triggered at once: ready and triggered, without a mark on each."""
+        """All members, if all were triggered at once: then they count as ready without a mark on each."""
         self._listening = 0
         """In-ports that wake members."""
 
@@ -273,7 +273,7 @@ def _has_cause(member: EventMember) -> bool:
         return False
     if member.triggered:
         return True
-    # Before the look: a sample that a thread writes in between puts it on the list again.
+    # The mark is cleared before the check: a sample that a thread writes in between puts the member on the list again.
     member.ready = False
     if member.in_ports.find_data():
         member.ready = True

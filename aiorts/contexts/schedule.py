@@ -56,9 +56,9 @@ class Schedule:
         """The lateness of the last cycles, as many as `_places` has given out."""
         self._places = iter(range(_BATCH))
         self._lateness = Lateness()
-        """The lateness of the cycles before them."""
+        """The lateness of the cycles before those in `_late`."""
         self.own_ns = 0
-        """The total time by which the ticks that were run were due after those left out before them."""
+        """The total time from the first left-out tick to the tick that ran in its place."""
         self.period_ns = 0
         """The period, rounded down."""
         self.deadline_ns: int | None = None

@@ -161,7 +161,7 @@ class ThreadContext(PeriodicContext):
 
 @dataclass(slots=True)
 class _Since:
-    """One run of a hook: since when it runs, and its deadline."""
+    """One run of a hook: its start and its deadline."""
 
     run: int
     where: str
@@ -231,7 +231,7 @@ class ThreadDriver:
             self._since_anew = _Since(run, f"{member.component.name}.{member.hook}", begun_ns, limit)
 
     def _look(self, told: int) -> None:
-        """Log a hook that is over its deadline and has not returned: nothing else can be done about it."""
+        """Log a hook that is over its deadline and has not returned: a thread cannot be interrupted."""
         since = None if self._member is None else self._held_to(self.hooks_run)
         took_ns = 0 if since is None else self._now_ns() - since.begun_ns
         if since is None or since.run == told or too_late(since.where, took_ns, since.limit) is None:

@@ -1,8 +1,8 @@
 """Judges what made a context late, from stack samples and the kernel's times of hooks. Pure.
 
-In this order: a garbage collection that took half of the delay; a process that did not run for half of it; what was
-sampled running longest; a hook with a long time in the kernel's statistics; else the cause is unknown. A hook that was
-sampled has the line that ran, one from the statistics the line it begins at.
+The first of these is blamed: a garbage collection that took half of the delay; a process that did not run for half of
+the delay; the code that was sampled longest; a hook with a long time in the kernel's statistics. Else the cause is
+unknown. A sampled hook has the line that ran, a hook from the statistics the line at which it begins.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Glance(NamedTuple):
     waits: Blame | None = None
     """The context's own hook that waited."""
     absent_ns: int = 0
-    """How long before it no thread ran although one should have."""
+    """Nanoseconds before the sample in which no thread ran although one should have."""
     took: Entry | None = None
     """The statistics of what ran, as of that moment."""
 
@@ -116,7 +116,7 @@ def judge(
         return Blame("gc", held_ns=longest.ended_ns - longest.began_ns, generation=longest.generation)
     away = sum(glance.absent_ns for glance in glances)
     seen = _seen_longest(since_ns, now_ns, glances, books)
-    # The hook that ran when the processor was taken away is blamed until that explains nearly everything.
+    # If the processor was taken away, the hook that ran then is blamed unless that explains nearly all of the delay.
     if 2 * away >= late and (seen is None or 4 * away >= 3 * late):
         return Blame("machine", held_ns=away)
     if seen is not None:
@@ -142,7 +142,7 @@ def _seen_longest(since_ns: int, now_ns: int, glances: Sequence[Glance], books: 
         until = glances[index + 1].at_ns if index + 1 < len(glances) else now_ns
         blame, lasted = _held(glance, books)
         if lasted is not None and 2 * lasted < late and len(glances) == 1:
-            # It only passed by; the context itself waited all the time.
+            # The sampled code ran only briefly; the context itself waited all the time.
             blame = glance.waits
         if blame is not None:
             since = since_ns if index == 0 else glance.at_ns

@@ -37,13 +37,13 @@ _MOST_NS: Final = 2_000_000
 """How late a context is at the first sample: an eighth of its period within these bounds."""
 _FAST_NS: Final = 2_000_000
 _LAZY_NS: Final = 1_000_000
-"""A context with a shorter period than the first sets its timer once in the second; its samples are later by that."""
+"""A context with a period shorter than the first value sets its timer once in the second; that delays its samples."""
 _MANY: Final = 50
 _SHORT_NS: Final = 200_000
 _REST: Final = 20
-"""After reading the times of all hooks for longer than the first, it rests for the second times as long."""
+"""If reading the times of all hooks takes longer than the first value, the next waits the second times as long."""
 _SOON_NS: Final = 1_000_000_000
-"""With so many contexts the times of all hooks are read at most once a second."""
+"""From so many contexts on, the times of all hooks are read at most once a second."""
 _MOST_TIMERS: Final = 64
 """Descriptors are scarce: contexts beyond this number are judged by the times of hooks alone."""
 _NONE: Final[list[Glance]] = []  # of a context without a timer: it never gets one
@@ -60,7 +60,7 @@ class _Findings:
         self.walked_ns = -_SOON_NS
         """When the times of all hooks were read last."""
         self.walk_ns = 0
-        """How long that took."""
+        """The duration of that reading."""
 
     def may_walk(self, now_ns: int, *, few: bool) -> bool:
         """Whether the times of all hooks may be read again: a slow reading would make the next cycle late."""
@@ -72,7 +72,7 @@ def _that_matters(entry: Entry, before: Entry | None, longest_ns: int) -> int | 
     """The duration of the run of a hook that may have delayed a context; None: it has not run, or began too early."""
     if before is not None and before.runs == entry.runs:
         return None
-    # The longest run there ever was may have been the one that did it, though it was not the last.
+    # The longest run of the hook so far may be the cause, although it was not the last run.
     longest = entry.last_ns if before is None or before.max_ns == entry.max_ns else entry.max_ns
     return next((took for took in (longest, entry.last_ns) if took <= longest_ns), None)
 
@@ -199,7 +199,7 @@ class ContextTimer:
             return None
         for last in (self._last, self._findings.last):
             if last is not None and due < last[0]:
-                # Due before the last blame was found: what made that cycle late made this one late as well.
+                # This cycle was due before the last blame was found: the same cause made both cycles late.
                 return self._as_seen_here(last[1])
         blame = self._judge(due, now_ns)
         self._last = (now_ns, blame)
@@ -208,7 +208,7 @@ class ContextTimer:
         return blame
 
     def _as_seen_here(self, blame: Blame) -> Blame:
-        """The sample from this context's side: a hook that held the loop is one of its own, or another's."""
+        """The blame as seen from this context: whether the hook that held the loop is its own, or another context's."""
         if blame.kind not in ("hook", "loop") or not blame.hook:
             return blame
         own = any(member.component.name == blame.component for member in self._context.runner.members)
@@ -299,7 +299,7 @@ class DeadlineMonitor(KernelService):
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
         self._pauses = Pauses()
-        # For a kernel that was never closed.
+        # Releases the callback of a kernel that was never closed.
         weakref.finalize(kernel, self._pauses.stop).atexit = False
         self._monitored = 0
         self._findings = _Findings()

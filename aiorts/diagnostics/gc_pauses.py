@@ -24,7 +24,7 @@ class Pauses:
 
     def __init__(self) -> None:
         self.recent: deque[Pause] = deque(maxlen=_KEPT)
-        """The last ones that were long enough to make a context late."""
+        """The last collections that were long enough to make a context late."""
         self._began_ns = 0
         self._sums: dict[int, GcPauses] = {}
         # Bound once: `remove` must find the same object, and the module may be gone when the last collection runs.
@@ -42,7 +42,7 @@ class Pauses:
             gc.callbacks.append(self._hook)
 
     def stop(self) -> None:
-        """Record no more; the counts stay."""
+        """Stop recording; the counts stay."""
         if self._hook in gc.callbacks:
             gc.callbacks.remove(self._hook)
         self._began_ns = 0

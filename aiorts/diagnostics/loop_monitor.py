@@ -43,7 +43,7 @@ _BEAT: Final = 0.1
 _SILENCE_NS: Final = 200_000_000
 """Without a sign of life for so long the loop is sampled."""
 _ABSENT_NS: Final = 50_000_000
-"""Woken so much too late, without use of the processor meanwhile, the whole process did not run."""
+"""If the thread wakes this much too late and no processor time was used meanwhile, the whole process did not run."""
 _SHOWN: Final = 12
 """Frames in the line of the log."""
 _DEBUGGERS: Final = frozenset(
@@ -56,7 +56,7 @@ class LoopStall(Event):
     """Published when the event loop turns again after some code kept it from turning."""
 
     duration_ns: int
-    """From the last sign of life before it, at most 0.1 s too long."""
+    """The time since the last sign of life before the stall, so that it is at most 0.1 s too long."""
     blame: Blame
 
 
@@ -95,7 +95,7 @@ class LoopMonitor(KernelService):
 
     @property
     def stalls(self) -> LoopStalls:
-        """How often and how long the loop did not turn since then."""
+        """How often and how long the loop did not turn since monitoring began."""
         return LoopStalls() if self._loop_timer is None else self._loop_timer.stalls
 
     def configure(self, settings: LoopLimit) -> None:
@@ -103,7 +103,7 @@ class LoopMonitor(KernelService):
             unsubscribe()
             self.monitor(settings)
 
-        # Not before a context runs: while a system is made it may well keep its loop.
+        # Monitoring begins when a context runs: while a system is made, its code may hold the loop.
         unsubscribe = self.kernel.bus.subscribe(ContextStarted, monitor)
 
     def report(self) -> Mapping[str, Any]:
@@ -218,7 +218,7 @@ class LoopTimer:
         with self._lock:
             began = self._beat_ns
             if absent > _ABSENT_NS:
-                # Stopped or suspended: from now on it has as long as ever.
+                # The process was stopped or suspended: the time allowed to the loop begins again.
                 self._beat_ns = began = min(began + absent, now)
         if now - began < _SILENCE_NS:
             self._set(timer, began + _SILENCE_NS)
@@ -245,7 +245,7 @@ class LoopTimer:
         self._set(timer, began + self.limit_ns if not over else now + _SILENCE_NS)
 
     def _say(self, blame: Blame, called: Sequence[Line], now: int, *, over: bool) -> None:
-        """Log that it stands still: of what holds it again and again at growing distances."""
+        """Log that the loop stands still; for the same cause again only at growing intervals."""
         ends = over and self.policy == "exit"
         held = (blame.component, blame.hook) if blame.hook else (blame.file, blame.function)
         left_out = self._lines.left_out((over, *held), now)

@@ -1,6 +1,6 @@
 """The thread that waits for the timers of all contexts and loops of the process, without the interpreter lock.
 
-It exists while there is a timer, and not in the child of a fork.
+The thread exists while there is a timer, and not in the child of a fork.
 """
 
 from __future__ import annotations

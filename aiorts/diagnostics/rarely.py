@@ -1,4 +1,4 @@
-"""Repeated lines of one thing: the first at once, the next at growing distances, with how often they were left out."""
+"""Limits repeated log lines of one kind: the first at once, the next at growing intervals, with the number left out."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from aiorts.kernel.loop import distances
 
 _NS: Final = 1_000_000_000
 _MOST: Final = 256
-"""Things that are known, at most; the one that was asked about longest ago is forgotten."""
+"""The most kinds that are remembered; beyond, the kind that was asked about longest ago is forgotten."""
 
 
 class Rarely:
-    """Decides when a thing that repeats is said. Time comes as nanoseconds of any clock that never goes back."""
+    """Decides when a repeated line is logged. Times are nanoseconds of any clock that never goes back."""
 
     def __init__(self) -> None:
         self._said: dict[Hashable, tuple[int, int, int]] = {}
-        """By thing: when it was said last, the seconds to the next time, and how often it was left out since."""
+        """By kind of line: the time of the last log entry, the seconds to the next, and how often it was left out since."""
 
     def left_out(self, what: Hashable, now_ns: int) -> int | None:
-        """Whether to say it now: the count of times it was left out since the last one. None: it is left out again.
+        """Decide on a line: returns how often it was left out before, if it is to be logged now; None: leave it out.
 
         After twice the distance without it, the distance is the first one again.
         """

@@ -100,7 +100,7 @@ def _make(function: Callable[..., Any], options: Mapping[str, Any]) -> type[Func
         "__module__": getattr(plain, "__module__", None) or "builtins",
         "__qualname__": options["name"] or label,
         "function": staticmethod(plan.function),
-        # A source has a pace of its own: it goes on as soon as its sample is taken, or waits within.
+        # A source sets its own pace: it goes on as soon as its sample is read, or waits inside the function.
         **({"alone": {"kind": "event"}} if plan.streams and not plan.inlets else {}),
         **hooks_of(plan, options["when"], options["latest"]),
         **{one.name: one.port for one in plan.inlets},
@@ -113,7 +113,7 @@ def _make(function: Callable[..., Any], options: Mapping[str, Any]) -> type[Func
 
 
 def _reduce(cls: type[Any]) -> str | tuple[Any, ...]:
-    """Pickle a class by name where its module has it so, as a decorated one; else by function and options."""
+    """Pickle a class by name if its module has it under that name, as for a decorator; else by function and options."""
     found: Any = sys.modules.get(cls.__module__)
     for part in cls.__qualname__.split("."):
         found = getattr(found, part, None)

@@ -1,4 +1,4 @@
-"""The component of a function: decides when it is called, with which samples, and sends its results.
+"""The component of a function: decides when the function is called, with which samples, and sends its results.
 
 A sample is read from its port immediately before its call, so that waiting samples stay in the connector and its
 ledger. `signature.py` reads the function's declaration; `function.py` makes the class.
@@ -52,12 +52,12 @@ class FunctionKind(Kind):
 
 
 def kind_of(cls: type[Any]) -> FunctionKind | None:
-    """The description of the function of such a class; None where it has none."""
+    """The description of the function of a component class; None if the class is not made of a function."""
     return next((kind for kind in declarations(cls).kinds if isinstance(kind, FunctionKind)), None)
 
 
 class FunctionType(type):
-    """The metaclass of these classes: describes the function, and pickles as function and options."""
+    """The metaclass of function components: describes the function, and pickles a class as function and options."""
 
     def __repr__(cls) -> str:
         kind = kind_of(cls)
@@ -92,7 +92,7 @@ class FunctionComponent(Component, metaclass=FunctionType):
         calls: Calls = cell(self).own[Calls]
         calls.last = [NOTHING] * len(calls.ins)
         if calls.plan.streams and not calls.ins:
-            # In an event context a source has no cause to run; it gets the first when it is active.
+            # In an event context a source has no cause to run; its activation gives it the first.
             _go_on(self)
 
 
@@ -113,16 +113,16 @@ class Calls:
         self.last: list[Any] = [NOTHING] * len(plan.inlets)
         """The newest sample of each in-port that took part in a call."""
         self.stream: Any = None
-        """The iterator of a source, while it is at it."""
+        """The iterator of a source while the source runs."""
 
     def unread(self) -> int:
-        """The calls that a cycle has room for: later samples are for the next, so that every cycle ends."""
+        """The number of calls in this cycle: later samples wait for the next cycle, so that every cycle ends."""
         return sum(unread_at(port) for port in self.ins) or _FEW
 
     def due(self, component: FunctionComponent) -> Iterator[tuple[list[Any], Any]]:
         """The calls of this cycle: arguments, and the time stamp of their newest sample.
 
-        It first decides whether there is a call, then reads its samples: a sample without a partner stays unread.
+        It decides whether there is a call before it reads the samples, so that a sample without a partner stays unread.
         """
         parts, last = self.parts, self.last
         cycle, pairs = self.when == "cycle" or not parts, self.when == "all"
@@ -145,9 +145,9 @@ class Calls:
             yield self._arguments(component)
 
     def _each(self, component: FunctionComponent) -> Iterator[tuple[list[Any], Any]]:
-        """A call for each sample unread when the cycle began; the first one reads what it needs of each port."""
+        """A call for each sample unread when the cycle began; the first call reads a sample of each required port."""
         parts, last = self.parts, self.last
-        # Counted for each port, so that one whose samples are always the older ones does not keep the others waiting.
+        # Calls are counted for each port, so that a port whose samples are always older does not hold up the others.
         left = [unread_at(port) or (_FEW if port.is_new else 0) for port in self.ins]
         ordered = all(one.stamped for one in self.plan.inlets)
         while True:
@@ -163,12 +163,12 @@ class Calls:
             yield self._arguments(component)
 
     def _oldest(self, number: int) -> int:
-        """The time stamp of the next sample of a port that has one."""
+        """The time stamp of the next unread sample of a port; the port has one."""
         sample: Any = self.ins[number].peek()
         return int(sample.tm)
 
     def _arguments(self, component: FunctionComponent) -> tuple[list[Any], Any]:
-        """The samples known last as arguments, and the time stamp of the newest."""
+        """The arguments from the last known samples, and the time stamp of the newest of them."""
         arguments: list[Any] = []
         newest = None
         for _, one, number in self.parts:
@@ -182,7 +182,7 @@ class Calls:
         return arguments, component.clock.time_ns() if newest is None else newest
 
     def samples(self, name: str, result: Any, tm: Any) -> Iterator[tuple[Any, Any]]:
-        """Out-port and sample for each result that the function of the component `name` gave; None is no result."""
+        """Out-port and sample for each result of the function of the component `name`; None counts as no result."""
         if result is None:
             return
         outlets = self.plan.outlets
@@ -212,7 +212,7 @@ def _settings(component: FunctionComponent, plan: Plan) -> dict[str, Any]:
 
 
 def _go_on(component: FunctionComponent) -> None:
-    """Make a source in an event context its own cause, so that it sends as fast as its readers read."""
+    """Trigger a source in an event context again, so that it sends as fast as its readers read."""
     trigger = getattr(component.context, "trigger", None)
     if trigger is not None:
         cell(component).loop.call_soon(_trigger, component, trigger)
@@ -259,7 +259,7 @@ def _send_blocking(self: FunctionComponent, calls: Calls, item: Any, tm: Any) ->
 def _rest(self: FunctionComponent, calls: Calls) -> None:
     """Wait for data in a thread that has nothing to do, since it would begin the next cycle at once.
 
-    It waits only a moment with several in-ports, or where others share the thread; not while there is a request.
+    The wait is short if there are several in-ports or other members in the thread; with a request there is none.
     """
     port, sole = calls.ins[0], len(calls.ins) == 1
     context = self.context
@@ -344,7 +344,7 @@ async def _execute_source(self: FunctionComponent) -> None:
 
 
 async def _close(self: FunctionComponent) -> None:
-    """Close a source that was not at its end, so that its `finally` runs."""
+    """Close a source that has not ended, so that its `finally` runs."""
     calls: Calls = cell(self).own[Calls]
     stream, calls.stream = calls.stream, None
     close = getattr(stream, "aclose", None)

@@ -43,7 +43,7 @@ _RECORDS: Final[Mapping[object, str]] = {
     "wchar": "TimedWChar",
     "str": "TimedWString",
 }
-"""The record for a plain hint, or a tagged one (`i32` of aiorts.types); with "Seq" that of a sequence."""
+"""The record for a plain hint, or a tagged hint (`i32` of aiorts.types); the name with "Seq" is that for a sequence."""
 _STREAMS: Final = (abc.Iterator, abc.Generator, abc.Iterable)
 _ASYNC_STREAMS: Final = (abc.AsyncIterator, abc.AsyncGenerator, abc.AsyncIterable)
 _ALLOWED: Final = "float, int, bool, str, bytes, list[float], numpy.ndarray, dict[str, ...], a record or a dataclass"
@@ -55,7 +55,7 @@ class Carried:
 
     type: type[Any]
     unwrap: Callable[[Any], Any] | None
-    """Makes the function's argument of the sample; None takes the sample itself."""
+    """Makes the function's argument from the sample; None: the argument is the sample itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Outlet:
     name: str
     port: OutPort[Any]
     record: Callable[[int, Any], Any] | None
-    """Makes the sample of a time stamp and the result; None when the result is the sample."""
+    """Makes the sample from a time stamp and the result; None: the result is the sample itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ def _declared(default: Any, hint: Any) -> Declared:
 
 
 def _callable(function: Callable[..., Any], params: Mapping[str, Declared]) -> Callable[..., Any]:
-    """The function, with the plain value where a default is `Param(...)`, so that it can still be called."""
+    """The function with plain values for defaults that are `Param(...)`, so that it can still be called directly."""
     defaults = getattr(function, "__kwdefaults__", None) or {}
     if not any(isinstance(value, Declared) for value in defaults.values()) or not inspect.isfunction(function):
         return function
@@ -229,7 +229,7 @@ def _inlet(where: str, parameter: inspect.Parameter, hint: Any) -> Inlet:
 
 
 def _result(where: str, function: Any, hint: Any) -> tuple[bool, bool, Any]:
-    """Whether it streams, whether it is awaited, and the hint of one result."""
+    """Whether the function streams, whether its call is awaited, and the hint of one result."""
     if hint is _EMPTY:
         raise DeclarationError(f"{where}: the result has no type hint; write -> None, or: {_ALLOWED}")
     origin, args = get_origin(hint) or hint, get_args(hint)
@@ -297,7 +297,7 @@ def _outlet(where: str, name: str, hint: Any) -> Outlet:
 
 
 def _bare(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """The hint and its annotations; a tagged one (`i32`) keeps its tag as the hint."""
+    """The hint and its annotations; for a tagged hint (`i32`), the tag is the hint."""
     if get_origin(hint) is not Annotated:
         return hint, ()
     kind, *given = get_args(hint)
@@ -322,7 +322,7 @@ def _given_port(where: str, given: tuple[Any, ...], kind: type[Any]) -> Any:
 
 
 def _carried(where: str, hint: Any, wanted: type[Any] | None) -> Carried:
-    """The type by which a hint travels: a record of the type `wanted`, where the annotation names one."""
+    """The type by which a hint travels: the record type `wanted` if the annotation names one."""
     from aiorts.types import check_port_type, fields_of
 
     found = _plain(hint)

@@ -1,6 +1,6 @@
-"""Counts a running system at two moments; it costs the system nothing but the time in which it looks.
+"""Counts a running system at two moments; costs the system only the time of counting.
 
-It looks at a few things at a time, and the loop turns in between: the counts of one snapshot are of a few milliseconds.
+It counts a few parts at a time and lets the loop turn in between, so that one snapshot spans a few milliseconds.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 _CONNECTORS_AT_ONCE: Final = 200
 _COMPONENTS_AT_ONCE: Final = 400
 _CONTEXTS_AT_ONCE: Final = 4
-"""Numbers of things that are looked at before the loop turns: at most 1 ms of each kind."""
+"""Numbers of contexts and other parts that are counted before the loop turns: each takes at most 1 ms."""
 _HELD: Final = 2
-"""Windows that are kept while watching: one is always as long as the window that may be asked for."""
+"""Windows that are kept while watching: then one of them is always at least as long as the requested window."""
 _ACTIVE, _ERROR = LifecycleState.ACTIVE, LifecycleState.ERROR
 _NO_EDGES: Final[Mapping[str, EdgeCounts]] = MappingProxyType({})
 _NO_CONTEXTS: Final[Mapping[str, ContextCounts]] = MappingProxyType({})
@@ -51,7 +51,7 @@ class Health:
         self._kernel = kernel
         self._rolling: asyncio.Task[None] | None = None
         self._held: deque[_Measurement] = deque()
-        """The measurements that have begun last, the older first, while it watches."""
+        """The measurements begun last, the older first, while this object watches."""
 
     async def window(self, seconds: float) -> Window:
         """The counts of the next so many seconds.
@@ -65,7 +65,7 @@ class Health:
             return await measured.end()
 
     async def before(self, seconds: float) -> Window:
-        """The counts of at least the last so many seconds, where it was watched for so long; else `window`."""
+        """The counts of at least the last `seconds` if they were watched for so long; else those of `window`."""
         now_ns = self._kernel.clock.monotonic_ns()
         for held in self._held:
             if held.began_ns is not None and now_ns - held.began_ns >= seconds * 1e9:
@@ -107,7 +107,7 @@ class _Measurement:
         self._kernel = kernel
         self._errors: dict[str, str] = {}
         self._by_machine: dict[str, tuple[int, int]] = {}
-        """Overruns for which the machine is to blame, and ticks that they left out, by context."""
+        """By context: overruns caused by the machine, and the ticks that these overruns left out."""
         self._backlogs: dict[str, Backlog] = {}
         self._unsubscribe: tuple[Callable[[], None], ...] = ()
         self._edges: Mapping[str, EdgeCounts] = _NO_EDGES
@@ -167,7 +167,7 @@ class _Measurement:
             self._by_machine[event.context] = count + 1, left_out + event.skipped
 
     def _is_by_machine(self, event: Overrun) -> bool:
-        """Whether the machine is to blame for an overrun, or the cycle was in time had the machine not run others."""
+        """Whether the machine caused an overrun: without the threads of others, the cycle had been in time."""
         blamed = event.blame is not None and event.blame.kind == "machine"
         context = self._kernel.contexts.get(event.context)
         if self._stalls is None or context is None:
@@ -210,7 +210,7 @@ class _Measurement:
         )
 
     async def _look_at_components(self) -> tuple[dict[str, str], set[str]]:
-        """The components in error, each with its error, and those that are not active though in a context."""
+        """The components in error, each with its error, and the components in a context that are not active."""
         errors: dict[str, str] = {}
         idle: set[str] = set()
         async for some in _batches(self._kernel.components.values(), _COMPONENTS_AT_ONCE):
@@ -235,7 +235,7 @@ def _why(component: Component) -> str:
 
 
 async def _batches(things: Iterable[T], at_once: int) -> AsyncIterator[tuple[T, ...]]:
-    """The things that there are now, so many at once."""
+    """The present items in batches of at most `at_once`."""
     left = iter(tuple(things))
     while some := tuple(islice(left, at_once)):
         yield some

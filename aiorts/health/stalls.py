@@ -1,4 +1,4 @@
-"""The time that threads were ready to run while the machine ran others, as the system counts it for each thread.
+"""Measures how long threads were ready to run while the machine ran others, by the system's count for each thread.
 
 A hook that was running when the processor was taken away is blamed for the delay (`aiorts.diagnostics.blame`); these
 counts tell what the delay would have been otherwise. All threads of the process are counted: a thread that is stopped
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import asyncio
 
 _THREADS: Final = "/proc/self/task"
-"""The folder of Linux with a folder for each thread. Its file `schedstat` has the time that the thread was on a
-processor, the time that it waited for one, in nanoseconds, and how often it had one."""
+"""The folder of Linux with a folder for each thread. The file `schedstat` in it has the time on a processor and the
+time of waiting for a processor, both in nanoseconds, and how often the thread got a processor."""
 _EVERY: Final = 0.02
 """Seconds between two looks; each late cycle is a look, too."""
 _KEPT: Final = 256
@@ -48,7 +48,7 @@ class Stalls:
         self._per_thread.clear()
 
     def look(self) -> int:
-        """Look now; the total, 0 where nothing is known."""
+        """Read the counts now; return the total, 0 if the system has no such counts."""
         if self._timer is not None:
             self._count()
             self._looks.append((time.monotonic_ns(), self.total_ns))

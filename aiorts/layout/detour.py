@@ -17,13 +17,13 @@ _CLEAR: Final = 14.0
 _BESIDE: Final = 8.0
 """Pixels between a box and an edge along its side."""
 _GAPS: Final = (34.0, 16.0)
-"""The least room between two boxes, across and down: edges run through."""
+"""The least room between two boxes, across and down, in which edges run."""
 _TURN: Final = 24.0
-"""Pixels of a longer way that one bend less is worth."""
+"""The extra pixels of way that are accepted to save one bend."""
 _REACH: Final = 250.0
 """Pixels that an edge may go beyond both of its ends."""
 _MOST: Final = 120
-"""Boxes among which a way is sought; among more it would take longer than a hand waits."""
+"""The most boxes among which a way is searched; with more, the search would be too slow for a user who drags a box."""
 _NEAR: Final = 500.0
 """The most pixels, across or down, from the wanted place of a box to the one that it gets."""
 

@@ -26,9 +26,9 @@ class Place(NamedTuple):
     """The place of the corner of a box at its top left."""
 
     x: float
-    """From the left of the kernel."""
+    """The distance from the left of the kernel."""
     y: float
-    """From the top of the band, that of its context or composite."""
+    """The distance from the top of the band, which is that of the box's context or composite."""
     top: float
     """The top of that band, from the top of the kernel."""
 
@@ -59,7 +59,7 @@ def text_of_places(kernel: str, places: Places) -> str:
     """
     parts = {"schema": _SCHEMA, "kernel": kernel, "by_hand": sorted(places.by_hand)}
     head = "".join(f"  {_json(name)}: {_json(value)},\n" for name, value in parts.items())
-    # One box a line: a change of one is a change of a line.
+    # Each box has its own line, so that a moved box changes one line.
     boxes = ",\n".join(f"    {_json(name)}: {_json(place)}" for name, place in sorted(places.boxes.items()))
     return f'{{\n{head}  "boxes": {{\n{boxes}\n  }}\n}}\n'
 
@@ -95,7 +95,7 @@ def _is_place(value: Any) -> bool:
 
 
 def stored_places(file: Path, report: Callable[[Path, str], None]) -> Places | None:
-    """The places in the layout file of a system file; None where it has none, or one that is of no use.
+    """The places in the layout file of a system file; None if there is no such file, or it is unusable.
 
     Args:
         report: gets the path of a layout file that is of no use, and why.

@@ -54,7 +54,7 @@ _EMPTY: Final = 56.0
 _CLEAR: Final = 14.0
 """Between a column and the first edge that runs down next to it."""
 _WIDER: Final = _CLEAR - 6.0
-"""By how much a box that comes later may be wider than its column: edges run down right of it all the same."""
+"""The most by which a box added later may be wider than its column: edges still run down at its right."""
 _MARGIN: Final = 10.0
 """Between an edge that runs across, and the boxes above and below it."""
 _FARTHEST: Final = 4_000
@@ -83,9 +83,9 @@ class Layout:
     moved: dict[Key, Point] = field(default_factory=dict)
     label: float = LABEL
     _spans: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
-    """By pile: its first column, and the one behind its last."""
+    """By pile: its first column, and the column after its last."""
     _loose: dict[Key, tuple[int, ...]] = field(default_factory=dict)
-    """The boxes that `move` has put, which stand in no column, and the columns in which they are in the way."""
+    """The boxes that `move` has placed outside of columns, and the columns that each of them blocks."""
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -254,7 +254,7 @@ class Layout:
     # -- one more, and nothing else moves --------------------------------------------------------------------------
 
     def add(self, spot: Spot, group: str, before: Iterable[Key] = (), after: Iterable[Key] = ()) -> bool:
-        """Place one box more, or one that has other ports now: at its old place where that has room.
+        """Place a new box, or a box whose ports changed; such a box keeps its place if there is room.
 
         Args:
             group: the group of its band, where that is new.

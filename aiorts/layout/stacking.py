@@ -1,6 +1,6 @@
 """The column of each box, its place in the stack of boxes there, and where a graph that is too wide goes on below.
 
-This file decides what stands before, above and below what; it knows no coordinates.
+This file decides which box stands before, above or below another; it knows no coordinates.
 """
 
 from __future__ import annotations

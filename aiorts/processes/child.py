@@ -20,7 +20,7 @@ DESCRIPTOR: Final = 3
 """The number that the descriptor given to `Launcher.start` has in the child."""
 _LIVENESS: Final = 4
 PARENT: Final = "AIORTS_HELPER"
-"""The environment variable with the process that started this one; `prepare` takes it out."""
+"""The environment variable with the process that started this one; `prepare` removes the variable."""
 _KILLING: Final = 2.0
 """Seconds that are spent on descendants which go on starting others."""
 
@@ -60,7 +60,7 @@ def _end_with_parent() -> None:
 
 
 def limit_memory(size: int) -> None:
-    """Let this process have so many bytes of address space more than it has now; beyond it is MemoryError.
+    """Limit this process to `size` more bytes of address space than it has now; beyond that it gets MemoryError.
 
     Raises:
         ProcessError: the system refuses.

@@ -1,6 +1,7 @@
 """Groups of cgroup v2: bounds for one process and its descendants, where an administrator delegated them.
 
-Whether one can be had is found by trying; each is removed again. Reads and writes small files, and never waits.
+Only an attempt shows whether a group can be made; each group is removed again. All work is on small files, and
+never waits.
 """
 
 from __future__ import annotations
@@ -46,21 +47,21 @@ class Group:
             raise Refused(f"cgroup v2 at {parent} refuses: {error.strerror}") from None
 
     def add(self, pid: int) -> None:
-        """Put a process into it, and what that one will start. Refused: it cannot be put there."""
+        """Put a process, and all that it will start, into the group. Refused: that is not possible."""
         try:
             _write(f"{self.path}/cgroup.procs", str(pid))
         except OSError as error:
             raise Refused(f"{self.path} takes no process: {error.strerror}") from None
 
     def kill(self) -> None:
-        """Kill all in it at once, where the kernel can (Linux 5.14)."""
+        """Kill all processes of the group at once, if the kernel supports that (Linux 5.14)."""
         try:
             _write(f"{self.path}/cgroup.kill", "1")
         except OSError:
             return
 
     def remove(self) -> bool:
-        """Whether it is gone; it is not while something runs in it."""
+        """Remove the group; return whether it is gone: while a process runs in it, it stays."""
         try:
             os.rmdir(self.path)
         except FileNotFoundError:
@@ -102,7 +103,7 @@ def remove_old(parent: str, prefix: str) -> None:
 
 
 def killed_for_memory(files: Sequence[str] | None = None) -> int:
-    """How many processes the system has killed for memory, by the nearest counter there is; 0: it counts none."""
+    """The number of processes that the system has killed for memory, by the nearest counter; 0 without a counter."""
     if files is None:
         try:
             files = (f"{own_group()}/memory.events", "/proc/vmstat")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _AT_ONCE = 65536
 """Bytes that are read at once: what a pipe holds."""
 _DRAIN = 64
-"""How often that is read of a process that has ended, while others may still write."""
+"""How many more times the pipe of an ended process is read, into which others may still write."""
 _BACKLOG = 1 << 20
 """Bytes of lines that wait for a parent whose loop does not turn; further ones are left out."""
 _ENDING = 30.0
@@ -71,7 +71,7 @@ class Helper:
         control.setblocking(False)
         self._watch(control.fileno(), self._exchange)
         self._null = os.open(os.devnull, os.O_RDWR)
-        # A child has no end-of-file of this pipe before its last writer is gone: this process alone.
+        # A child sees the end-of-file of this pipe when its last writer is gone, and this process is the only writer.
         self._liveness, self._held = os.pipe()
         self._woken, wake = os.pipe()
         os.set_blocking(self._woken, False)
@@ -244,7 +244,7 @@ class Helper:
     # Output.
 
     def _read(self, child: _Child, stream: str) -> bool:
-        """Read once; whether there may be more."""
+        """Read once; return whether there may be more."""
         pipe = child.pipes[stream]
         try:
             data = os.read(pipe, _AT_ONCE)
@@ -278,7 +278,7 @@ class Helper:
             kill_trees([child.pid])
 
     def _reap(self) -> bool:
-        """Wait for what has ended, and kill what lost its parent by that. Whether there is any child left."""
+        """Collect processes that have ended, and kill those that lost their parent; return whether a child is left."""
         with contextlib.suppress(BlockingIOError):
             os.read(self._woken, _AT_ONCE)
         left = True
@@ -321,7 +321,7 @@ class Helper:
         )
 
     def _end(self) -> None:
-        """Kill all that is there, until there is nothing to wait for."""
+        """Kill all children, until none is left to wait for."""
         for child in self._children.values():
             child.killed = True
             self._kill_child(child)
@@ -351,7 +351,7 @@ def _be_nice(pid: int, share: float, granted: dict[str, str], denied: dict[str, 
 def main() -> None:
     """Be the helper: arguments are the number of the socket and the process it belongs to."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
-        # The parent ends in order when it gets these, and this with it. Ignored they would be ignored in children.
+        # At these signals the parent ends in order, and this process with it. Children would inherit ignored signals.
         signal.signal(number, lambda *_: None)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this one may have blocked SIGCHLD
     adopt_orphans()

@@ -229,7 +229,7 @@ class Launcher:
             pass  # to the last byte: uvloop calls a reader once at a socket with an error, whatever is to be read
 
     def _read_once(self) -> bool:
-        """Take what has come; False: there is no more."""
+        """Read and handle reports that have arrived; False: there are no more."""
         data = b""
         try:
             if self._control is not None:
@@ -266,14 +266,14 @@ class Launcher:
             self._children.pop(number)._end(Ending(**report))
 
     def _abandon(self, number: int) -> None:
-        """The caller of `start` does not wait any more: what it started is killed."""
+        """Kill a process whose caller of `start` does not wait any more."""
         if child := self._children.get(number):
             child.kill()
         elif report := self._reports.get(number):
             report.begun.cancel()
 
     def _lose(self) -> None:
-        """The helper has closed its end, or is no longer waited for: nothing comes from it any more."""
+        """Report all children as lost: the helper has closed its end, or is no longer waited for."""
         control, self._control = self._control, None
         if control is None:
             return
@@ -293,7 +293,7 @@ class Launcher:
 
 
 def _kill_unless_ended(helper: subprocess.Popen[bytes]) -> None:
-    """It has closed its socket, so it is about to end; or it is stuck."""
+    """Kill the helper unless it ends soon: it has closed its socket, or is stuck."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         helper.wait(0.1)
         return

@@ -27,7 +27,7 @@ class Output:
 
     def __init__(self) -> None:
         self.due: float | None = None
-        """When `due_at` has something to say; None: nothing was left out."""
+        """The time at which `due_at` has a remark; None: nothing was left out."""
         self._parts = {"stdout": b"", "stderr": b""}
         self._last: deque[bytes] = deque(maxlen=LAST)
         self._until = 0.0
@@ -35,7 +35,7 @@ class Output:
         self._lines_left_out = self._bytes_left_out = 0
 
     def feed(self, stream: str, data: bytes, now: float) -> Iterator[tuple[str, str]]:
-        """Take what was read; the lines of it that are passed on, each with its stream."""
+        """Add what was read; yield the lines that are passed on, each with its stream."""
         yield from self.due_at(now)
         while self._lines_free > 0 and self._bytes_free > 0:
             line, newline, data = data.partition(b"\n")
@@ -85,7 +85,7 @@ class Output:
             yield "stderr", f"... {lines} lines ({size} bytes) left out"
 
     def _keep(self, stream: str, data: bytes) -> None:
-        """Keep the begin of a line that has not ended."""
+        """Keep the beginning of a line that has not ended yet."""
         part = self._parts[stream] + data
         if len(part) > LONGEST:
             self.leave_out(0, len(part) - LONGEST)

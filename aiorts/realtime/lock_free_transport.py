@@ -296,7 +296,7 @@ class LockFreeTransport(Transport):
             times.add(began_ns, self.clock.monotonic_ns())
 
     def _settle(self, dropped: dict[str, int]) -> None:
-        """Notify the reader of a stored sample, or take it back if the end came while it was put in."""
+        """Notify the reader of a stored sample, or remove the sample if the connector ended while it was stored."""
         reason = self.refused()
         if not reason:
             self.receiver.arrived(self, False)
@@ -363,7 +363,7 @@ class LockFreeTransport(Transport):
                 self.on_loop(methodcaller("admit_waiting"))
 
     def empty(self) -> int:
-        """Take all samples out; their number."""
+        """Remove all samples; return their number."""
         number = self.take_all()[1]
         return number
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _LOG = KernelLog()
 _FAR_NS: Final = 20_000_000
-"""A request waits no longer than this, or a period when that is less."""
+"""The longest time, if shorter than a period, that a request waits."""
 _NEAR_NS: Final = 5_000_000
 _SLICE_NS: Final = 50_000_000
 """The longest time between two looks for garbage."""
@@ -57,7 +57,7 @@ class RealtimeDriver(ThreadDriver):
         if self._virtual:
             super().kick()
             return
-        # No lock in the way of a thread that is about to sleep: it looks at the flag before and after.
+        # No lock holds up a thread that is about to sleep: it checks the flag before and after.
         self._kicked = True
         if self._parked:
             with self._changed:

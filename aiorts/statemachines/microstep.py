@@ -266,7 +266,7 @@ class _Entering:
                 self.down(child)
 
     def steps(self, states: int) -> tuple[tuple[Step, ...], bool]:
-        """The steps that enter the collected states, `states` being active before; and whether the machine has ended."""
+        """The steps that enter the collected states, while `states` are active; and whether the machine has ended."""
         found: list[Step] = []
         ends = False
         for index in bits(self._enter):

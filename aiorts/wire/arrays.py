@@ -30,7 +30,7 @@ _empty: dict[bytes, npt.NDArray[Any]] = {}
 
 
 _little: dict[str, np.dtype[Any]] = {}
-"""The little-endian types of numpy, by names without byte order; kept, since making a type takes as long as an array."""
+"""The little-endian types of numpy, by names without byte order; making a type takes as long as making an array."""
 
 
 def pack_array(array: npt.NDArray[np.generic]) -> bytes:

@@ -54,7 +54,7 @@ class PartsCodec(Protocol):
         ...
 
     def decode_parts(self, head: Buffer, parts: Sequence[Buffer], expected: type) -> Any:
-        """The record of exactly the class `expected`, on the memory of head and parts. WireError if there is no such record."""
+        """The record of exactly the class `expected`, on the memory of head and parts. WireError if there is none."""
         ...
 
 

@@ -17,7 +17,7 @@ def find_codec(name: str) -> Codec:
     """A codec of that name: "msgpack", or one that a plugin offers, which is imported now.
 
     Raises:
-        PluginError: no plugin offers it (the message has similar names), several do, it cannot be loaded, or is no codec.
+        PluginError: no plugin offers it (the message has near names), several do, it cannot be loaded, or is no codec.
     """
     if name == _OWN:
         from aiorts.wire.codec import MsgpackCodec

@@ -28,7 +28,7 @@ Take = Callable[[Any, str], Any]
 
 
 class Form(NamedTuple):
-    """Turns a record into the value that msgpack packs, and back. `take` raises WireError or RecordError with the field."""
+    """Turns a record into the value that msgpack packs, and back. `take` raises WireError or RecordError."""
 
     put: Put
     take: Take
