@@ -17,7 +17,7 @@ class Rarely:
 
     def __init__(self) -> None:
         self._said: dict[Hashable, tuple[int, int, int]] = {}
-        """By kind of line: the time of the last log entry, the seconds to the next, and how often it was left out since."""
+        """By kind of line: when it was logged last, the seconds to the next time, and how many were left out since."""
 
     def left_out(self, what: Hashable, now_ns: int) -> int | None:
         """Decide on a line: returns how often it was left out before, if it is to be logged now; None: leave it out.

@@ -1,4 +1,4 @@
-"""The conformance suite of codecs: what is decoded is what was encoded, bit by bit; other bytes are refused.
+"""The conformance suite of codecs: decoding gives exactly the record that was encoded; other bytes are refused.
 
 Everything is reproducible: records are invented from fixed seeds, no clock and no order of sets is involved.
 """
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 _SUITE: Suite[Codec] = Suite()
 _ROUNDS: Final = 10
-"""Random records of each type."""
+"""The number of random records of each type."""
 _GARBAGE: Final = 500
-"""Frames of random bytes, and frames with a few bytes changed."""
+"""The number of frames of random bytes, and of frames with a few bytes changed."""
 _DTYPES: Final = ("?", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
 
 

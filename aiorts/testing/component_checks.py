@@ -1,7 +1,7 @@
 """The conformance suite of components: the promises on which neighbours, contexts and kernels rely.
 
-Each check runs a new component in virtual time, fed every cycle; only blocking of the loop is measured in real time.
-That check comes first, and ends at the first cycle that takes too long: all others would take as long as its hooks do.
+Each check runs a new component in virtual time, fed every cycle; only the check for a blocked loop measures real time.
+It comes first, and stops at the first cycle that is too long: with such hooks, the other checks would take very long.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _DEADLINE: Final = 0.001
-"""Seconds of virtual time that a hook gets before it is cancelled, in the check of that."""
+"""Seconds of virtual time after which the check of cancellation cancels a hook."""
 _ATTEMPTS: Final = 3
-"""Measurements of a loop, which is blocked only if it is in each: a busy machine may hold up one."""
+"""The number of measurements; a loop counts as blocked only if each shows it, since a busy machine may spoil one."""
 
 
 def check_component(
@@ -85,7 +85,7 @@ class _Case:
         return Rig(component, context=context or self.make_context(), strict=False, debug=debug)
 
     async def run(self, rig: Rig, on: Callable[[], bool] = lambda: True) -> None:
-        """Feed and tick, as long as `on()` is true."""
+        """Feed the component and run cycles, as long as `on()` is true."""
         for cycle in range(self.cycles):
             if not on():
                 return
@@ -134,7 +134,7 @@ def _longest_step(case: _Case) -> tuple[float, str]:
 
 @contextmanager
 def _measured(cls: type[Component], steps: list[tuple[float, str]]) -> Iterator[None]:
-    """Note how long each step of the hooks of this class takes, while entered."""
+    """Record how long each step of the hooks of this class takes, inside the `with`."""
     kinds = hook_kinds(cls, Component)
     own = {hook: vars(cls).get(hook) for hook in HOOKS if kinds[hook]}
     for hook in own:

@@ -32,7 +32,7 @@ class ConformanceError(AiortsError, AssertionError):
 
 
 class _Unmet(AssertionError):
-    """A check's own finding, before its subject is known."""
+    """The failure that a check raises, to which `Suite.run` adds the subject."""
 
     def __init__(self, expected: str, got: object) -> None:
         super().__init__(expected, got)

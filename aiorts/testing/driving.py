@@ -1,4 +1,4 @@
-"""Cycles of a context in virtual time, for any kind of context and any loop.
+"""Runs cycles of a context in virtual time, for any kind of context and any loop.
 
 A context with `tick()` is ticked, one with a rate gets the time it needs, any other runs when it has a cause.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _LONGEST_NS: Final = 3600 * 10**9
-"""Virtual time after which a hook that still waits is taken to wait forever."""
+"""Virtual time after which a hook that still waits counts as waiting forever."""
 
 
 def is_ticked(context: Context) -> bool:

@@ -1,4 +1,4 @@
-"""Components that misbehave in one way each, for tests of what is around them. Each takes the hook that misbehaves.
+"""Components that misbehave in one way each, to test their surroundings. The first argument is the misbehaving hook.
 
     await kernel.add(Failing("on_execute", ValueError("no camera"), name="camera0"))
 
@@ -62,7 +62,7 @@ class _Faulty(Component):
         return self.calls > self._first and (self._last is None or self.calls <= self._last)
 
     def _fault(self) -> Any:
-        """Misbehave, and return what the hook is to return."""
+        """Misbehave; the result becomes that of the hook."""
         raise NotImplementedError
 
     locals().update({hook: _plain(hook) for hook in HOOKS})

@@ -1,6 +1,6 @@
 """The hidden component of a rig: its out-ports feed in-ports, its in-ports tap out-ports. It is in no context.
 
-A tap takes each sample in the very call that writes it, so the time that it notes is exact and no buffer can overflow.
+A tap takes each sample in the very call that writes it, so that its time is exact and no buffer can overflow.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Instruments(Component):
         self._made = 0
 
     def tap(self, out: OutPort[Any]) -> None:
-        """Take what `out` writes from now on, if it can have one more connector."""
+        """Tap the samples that `out` writes from now on, if it can have one more connector."""
         if out in self.taps or (out.max_connectors is not None and len(out.connectors) >= out.max_connectors):
             return
         port = self.add_port(self._name("tap"), InPort(out.type, unit=out.unit, shape=out.shape))
@@ -72,7 +72,7 @@ class Instruments(Component):
         receiver_of(port).add_callback(tap.take)
 
     def make_room(self, out: OutPort[Any]) -> None:
-        """Give up the tap of an out-port that can have no connector besides."""
+        """Remove the tap of an out-port that can have no second connector."""
         tap = self.taps.get(out)
         if tap is None or out.max_connectors is None or len(out.connectors) < out.max_connectors:
             return
@@ -109,7 +109,7 @@ class Instruments(Component):
 
 
 def at_once(work: Coroutine[Any, Any, Any]) -> Any:
-    """The result of a coroutine that does not wait; connecting and disconnecting within a process do not."""
+    """Run a coroutine that does not wait, such as connecting within a process, and return its result."""
     try:
         work.send(None)
     except StopIteration as done:

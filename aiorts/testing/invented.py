@@ -53,7 +53,7 @@ def record_types() -> Iterator[type]:
 
 
 def invent(cls: type, dice: random.Random) -> Any:
-    """A record of `cls` with fields of all sorts; where it has rules of its own, one that keeps them."""
+    """A record of `cls` with invented fields; if the class has rules of its own, the record keeps them."""
     for _ in range(_TRIES):
         try:
             return cls(**{field.name: _value(field.kind, dice) for field in fields_of(cls)})

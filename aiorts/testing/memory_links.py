@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from aiorts.links import Channel, ChannelEvents, KernelFace, LinkOffer, Transport
 
 _FULL: Final = 1 << 20
-"""Bytes under way beyond which a channel takes no more."""
+"""The most bytes under way in a channel; it accepts no more."""
 _ASKED: Final = 1_000
 """The most questions of one kernel that are not answered yet."""
 _OVERTAKEN: Final = 0.02
-"""The most seconds by which a frame that others overtake is late."""
+"""The most seconds by which a frame is delayed so that others overtake it."""
 _HOST: Final = "memory"
 
 _Frame = tuple[bytes, tuple[memoryview, ...]]
@@ -58,7 +58,7 @@ class MemoryNetwork:
         self._stopped: set[str] = set()
 
     def transport(self, kernel: str) -> Transport:
-        """A new transport for the kernel that others reach by this name; each start of a kernel needs another one."""
+        """A new transport for the kernel that others reach by this name; each start of a kernel needs a new one."""
         return _MemoryTransport(self, kernel)
 
     def cut(self, one: str, other: str) -> None:
@@ -74,7 +74,7 @@ class MemoryNetwork:
             self._open[one].meet(self._open[other])
 
     def stop(self, kernel: str) -> None:
-        """Deliver nothing to a kernel and nothing from it until `go`; no connection ends by that."""
+        """Deliver nothing to a kernel and nothing from it until `go`; its connections stay."""
         self._stopped.add(kernel)
 
     def go(self, kernel: str) -> None:
@@ -86,11 +86,11 @@ class MemoryNetwork:
     # -- for its transports ----------------------------------------------------------------------------------------
 
     def _stands(self, *transports: _MemoryTransport) -> bool:
-        """Whether one of them is stopped."""
+        """Whether the kernel of one of these transports is stopped."""
         return any(one.name in self._stopped for one in transports)
 
     def _enter(self, newcomer: _MemoryTransport) -> None:
-        """Let all open transports find `newcomer`. LinkError: one of that name is open."""
+        """Let all open transports find `newcomer`. LinkError: a transport of that name is open."""
         if newcomer.name in self._open:
             raise LinkError(f"a kernel named {newcomer.name!r} runs already; give this one another name")
         others = tuple(self._open.values())
@@ -227,7 +227,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
                 near.tell(partial(near.lost, far.peer, why))
 
     def tell(self, notice: Callable[[], None]) -> None:
-        """Call `notice` in a step of the loop of its own, after earlier ones; while stopped, not before `go`."""
+        """Call `notice` in its own step of the loop, after earlier notices; for a stopped kernel, only after `go`."""
         self._notices.append(notice)
         self.loop.call_soon(self._tell_next)
 
@@ -236,7 +236,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
             self._notices.popleft()()
 
     def wake(self) -> None:
-        """Go on after `go`."""
+        """Continue with what waited until `go`."""
         for _ in self._notices:
             self.loop.call_soon(self._tell_next)
         for line in self._lines.values():
@@ -306,7 +306,7 @@ class _MemoryChannel(BaseChannel):
         if self._under_way > _FULL:
             self._refused = True
             return False
-        # Copies, since the sender may write to its buffers afterwards.
+        # The parts are copied, since the sender may write to its buffers afterwards.
         frame = bytes(head), tuple(memoryview(part.tobytes()) for part in parts)
         size = len(head) + sum(part.nbytes for part in parts)
         for seconds in self._transport.network._delays():

@@ -1,4 +1,4 @@
-"""Another order of the tasks that are ready at one instant, which asyncio allows as well as the usual one.
+"""Shuffles the tasks that are ready at one instant, into an order that asyncio allows as well as the usual order.
 
 In each turn of a loop the tasks that are ready change places, at random and reproducibly. Promised orders stay:
 
@@ -39,7 +39,7 @@ class Shuffle:
         order: list[asyncio.Handle] = []
         first = 0
         """The index of the first handle that may still change places."""
-        # One by one: a thread may append meanwhile, and what it appends is run after these.
+        # Handles are taken one by one: a thread may append others meanwhile, which run after these.
         for handle in [ready.popleft() for _ in range(len(ready))]:
             if _moves(handle):
                 order.insert(self._random.randint(first, len(order)), handle)

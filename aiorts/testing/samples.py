@@ -1,4 +1,4 @@
-"""Samples for tests: built from bare values, read as such, compared bit by bit. Nothing here asks for the time."""
+"""Samples for tests: made from bare values, read as bare values, compared bit by bit. Nothing here reads a clock."""
 
 from __future__ import annotations
 

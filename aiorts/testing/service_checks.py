@@ -236,7 +236,7 @@ def closes_after_a_fault(case: _Case) -> None:
 
 
 def _failing(method: Callable[..., Any], hook: str) -> Callable[..., Any]:
-    """The method, changed to raise when it is done."""
+    """The method, changed to raise an exception when its work is done."""
 
     def fail(self: KernelService, *args: Any) -> Any:
         method(self, *args)

@@ -49,7 +49,7 @@ Ts = TypeVarTuple("Ts")
 _log = KernelLog(__name__)
 
 _SAY_SO_AFTER_S = 5.0
-"""Real seconds of standing still after which the log says what time is waiting for."""
+"""Real seconds for which time stands still before the log states what it waits for."""
 
 _NEVER_S = 1e15
 """Delays of thirty million years and more, infinity included, are not waited for."""
@@ -98,7 +98,7 @@ def _inside_a_loop() -> bool:
 
 
 def _taking_a_clock(main: Callable[[SimulatedClock], Awaitable[T]]) -> Callable[[SimulatedClock], Awaitable[T]]:
-    """TypeError unless `main` can be called with a clock, and with that alone."""
+    """Return `main` as a function of a clock; TypeError unless it can be called with a clock as its only argument."""
     if not callable(main):
         raise TypeError(f"simulate(): expected a coroutine, or a function that takes the clock, got {main!r:.200}")
     try:
@@ -161,7 +161,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._outside: deque[Callable[[], object]] = deque()
         """Callbacks from other threads, to be called between two instants."""
         self._ways: list[Callable[[], bool]] = []
-        """Functions that say whether a thread wants to run: a loop that never waits would not let it."""
+        """Functions that return whether a thread wants to run, which a loop that never waits would not let it do."""
         super().__init__(_JumpingSelector(self))
         if seed is not None:
             self._process_events = partial(_shuffled, self, self._process_events, Shuffle(seed))
@@ -230,7 +230,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
             self._timers_cancelled = 0
 
     async def _sleep_until(self, monotonic_ns: int) -> None:
-        # Twice: the second time everything that the timers of that moment made ready has run.
+        # This runs twice: before the second run, everything that the timers of that moment made ready has run.
         for _ in range(2):
             future = self.create_future()
             handle = self._call_at_ns(monotonic_ns, _wake_future, (future,), None)
@@ -392,7 +392,7 @@ def _where(task: asyncio.Task[Any]) -> str:
 
 
 class _JumpingSelector(selectors.BaseSelector):
-    """The default selector, except that waiting becomes jumping."""
+    """The default selector, except that time jumps where it would wait."""
 
     def __init__(self, loop: SimulatedLoop) -> None:
         self._loop = loop
@@ -442,7 +442,7 @@ class _JumpingSelector(selectors.BaseSelector):
             return []
         if self._awaited or loop._standing_still():
             return self._wait()
-        # Looked at after the holds: a callback that a thread handed over before its release precedes the jump.
+        # Checked after the holds: a callback that a thread handed over before it released its hold precedes the jump.
         if loop._ready or loop._jump():
             return []
         if len(self._passive) > 1:

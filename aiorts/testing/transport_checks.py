@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _WAIT_SECONDS: Final = 2.0
 _AGAIN_SECONDS: Final = 0.1
 _QUIET_SECONDS: Final = 0.05
-"""Seconds in which nothing may happen, where nothing is expected."""
+"""Seconds for which a check waits to see that nothing happens."""
 _SLOW_SECONDS: Final = 0.05
 """Seconds allowed for sending a frame: it takes microseconds, and a busy machine may hold up one of three."""
 _CLOSE_SECONDS: Final = 5.0
@@ -65,7 +65,7 @@ def check_transport(
 
 
 class _Face:
-    """A kernel, as far as a transport sees it."""
+    """A stand-in for a kernel, with the part that a transport uses."""
 
     def __init__(self, name: str, epoch: int) -> None:
         self.name, self.epoch, self.host = name, epoch, "here"
@@ -80,7 +80,7 @@ class _Face:
 
 
 class _Events:
-    """The end of a link: notes its events, in order."""
+    """The end of a link: records its events, in order."""
 
     def __init__(self) -> None:
         self.frames: list[_Frame] = []
