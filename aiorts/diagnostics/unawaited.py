@@ -20,11 +20,11 @@ _FRAMES: Final = 20
 
 @contextlib.contextmanager
 def unawaited_told(tell: Callable[[str, Component | None], bool]) -> Iterator[None]:
-    """Meanwhile a coroutine that was never awaited is told in a line that names hook and line, and what to write.
+    """Inside the `with`, report each coroutine that was never awaited in a line with hook, line number and remedy.
 
     Args:
-        tell: takes the line, and the component whose method it is, as far as that is known; Python warns as ever
-            where it returns False.
+        tell: gets the line, and the component whose method made the coroutine, if that is known; if it returns False,
+            Python warns as usual.
     """
     before = warnings.showwarning
 

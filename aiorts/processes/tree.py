@@ -1,4 +1,4 @@
-"""The processes that descend from one, and the settings of Linux for those that lose their parent.
+"""Finds the descendants of a process, and sets what Linux does with processes that lose their parent.
 
 Where there is no /proc, as on macOS, only the group of a process is known: what has left it is not found.
 """
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 _SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36
 _ROUNDS = 1000
-"""After so many looks a process that starts others cannot be stopped: it is another user's."""
+"""After so many rounds a process that starts others counts as another user's, which cannot be stopped."""
 HAS_PROC = os.path.exists("/proc/self/task")
 
 
 def adopt_orphans() -> None:
-    """Become the parent of each descendant whose own parent ends, where the system has this. For the whole process."""
+    """Become the parent of each descendant whose own parent ends, if the system can. For the whole process."""
     _prctl(_SET_CHILD_SUBREAPER, 1)
 
 
 def ask_at_parents_end(number: int) -> None:
-    """Ask for a signal when the thread ends that started this process, where the system has this."""
+    """Ask for a signal at the end of the thread that started this process, if the system supports that."""
     _prctl(_SET_PDEATHSIG, number)
 
 
@@ -39,9 +39,9 @@ def _prctl(option: int, value: int) -> None:
 
 
 def children(pid: int) -> Iterator[int]:
-    """The processes whose parent this one is, also those that have ended and were not waited for.
+    """The children of a process, also those that have ended and were not waited for.
 
-    While they come and go one may be missing: ask again until there are none.
+    While children come and go, one may be missing: ask again until there are none.
     """
     try:
         threads = os.listdir(f"/proc/{pid}/task")

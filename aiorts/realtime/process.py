@@ -55,7 +55,7 @@ class ProcessSettings:
             sys.setswitchinterval(SWITCH_INTERVAL)
             self.switch_interval = self._interval_set = sys.getswitchinterval()
             if gc.isenabled():
-                # A host that has switched the collector off has its reasons: then nothing is collected here either.
+                # If the host has switched the collector off, nothing is collected here either.
                 self.collects = True
                 self._cost_ns = list(_GUESS_NS)
                 gc.disable()

@@ -98,22 +98,22 @@ class RealtimeContext(PeriodicContext):
         self._wanted = Wanted(priority, _checked_cpus(cpus), bool(lock_memory))
         self._spin_ns = round((_SPIN if spin is True else spin) * 1e9)
         self.spin = spin
-        """The requested time by which it wakes up earlier."""
+        """The requested time by which the thread wakes up before a deadline."""
         self._granted = Granted()
 
     @property
     def priority(self) -> int | None:
-        """The priority that it asks for; None: none."""
+        """The requested priority; None: no priority."""
         return self._wanted.priority
 
     @property
     def cpus(self) -> tuple[int, ...] | None:
-        """The processors that it asks for; None: any."""
+        """The requested processors; None: any."""
         return None if self._wanted.cpus is None else tuple(sorted(self._wanted.cpus))
 
     @property
     def lock_memory(self) -> bool:
-        """Whether it asks for the memory of the process to be resident."""
+        """Whether the context requests that the memory of the process stays resident."""
         return self._wanted.lock_memory
 
     @property
@@ -134,7 +134,7 @@ class RealtimeContext(PeriodicContext):
             raise
 
     def _longest_spin_ns(self) -> int:
-        """The time before a deadline in which the thread looks at the clock: at most a quarter of a period."""
+        """The longest time before a deadline in which the thread polls the clock: at most a quarter of a period."""
         rate = self.rate
         return self._spin_ns if not self._spin_ns or rate is None else min(self._spin_ns, round(0.25e9 / rate))
 
@@ -159,7 +159,7 @@ class RealtimeContext(PeriodicContext):
 
 
 def _let_out(component: ComponentSide) -> None:
-    """Make a component one of the loop's again if it is in no context: it has left its real-time thread."""
+    """Return a component to the loop if it is in no context, since it has left its real-time thread."""
     if component.contexts or cell(component).abandoned is not None:
         return  # an abandoned hook may still be inside
     host, log = cell(component), cell(component).log

@@ -182,7 +182,7 @@ def _enter(component: MultiModeComponent, context: str, mode: str) -> None:
     old = modes.of(context)
     modes.newest = mode
     if context:
-        # Contexts in which it has not changed yet are still in the old one.
+        # Contexts in which the mode has not changed yet are still in the old mode.
         for member in cell(component).members:
             modes.by_context.setdefault(member.context.name, old)
         modes.by_context[context] = mode

@@ -90,7 +90,7 @@ def _element(parent: Any, tag: str, attributes: dict[str, str] | None = None, sp
 
 
 def _prefixed(document: Any, names: dict[str, str]) -> Any:
-    """SCXML's own names without a prefix; ElementTree would number the prefixes."""
+    """Write SCXML's own names without a prefix, since ElementTree would number the prefixes."""
     for element in document.iter():
         element.tag = _short(element.tag, names)
         for key in [key for key in element.keys() if key.startswith("{")]:  # noqa: SIM118 - an Element is no mapping
