@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from replay_timing import measure_replay
 
 import aiorts
 from aiorts.cli.app import run_command
@@ -19,6 +18,7 @@ from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_log import RecordingReader
 from campaign import CAMPAIGN
 from play_parts import BEGIN, MS, foreign, recorded, steady
+from replay_timing import measure_replay
 
 COMMAND = [sys.executable, "-P", "-c", "import sys; from aiorts.cli import main; sys.exit(main())"]
 
