@@ -234,7 +234,7 @@ def fits(one: Any, other: Any) -> bool:
     if other in (_EMPTY, Any, object) or one in (_EMPTY, Any) or one == other:
         return True
     parts, others = alternatives(one), alternatives(other)
-    if len(parts) > 1 or len(others) > 1:
+    if not len(parts) == len(others) == 1:
         return all(any(fits(part, another) for another in others) for part in parts)
     one, other = parts[0], others[0]
     if isinstance(one, type) and isinstance(other, type) and not (typing.get_args(one) or typing.get_args(other)):

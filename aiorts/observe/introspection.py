@@ -12,6 +12,7 @@ from weakref import WeakSet
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.loop.observers import check_length
 from aiorts.kernel.service import KernelService
+from aiorts.model.buffer import DEFAULT_LENGTH
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -50,7 +51,7 @@ class Introspection(KernelService):
         """See `Kernel.samples`."""
         from aiorts.observe.samples import samples_of
 
-        check_length("samples", options["length"])
+        check_length("samples", options.get("length", DEFAULT_LENGTH))
         feed, made = samples_of(self, port, options)
         self._feeds.add(feed)
         return made

@@ -93,7 +93,7 @@ class Context:
         """The actions to carry out between cycles; None when there are none. `Life.next_action` takes them."""
         self.runner = Runner(self, named=bool(name))
         """The runner of the context, for services and for kinds of contexts; applications use the context itself."""
-        self._last_hooks = _NO_HOOKS
+        self._last_hooks: Mapping[str, HookStatistics] = _NO_HOOKS
         self._stopping = False
         self._order = 0
         self._began: asyncio.Future[None] | None = None
