@@ -26,12 +26,14 @@ BEFORE = json.loads(gzip.decompress((Path(__file__).parent / "golden" / "schema-
 EMPTY = '"isolation" = ""'
 """What the reader takes for no such line, and the schema refused before, too."""
 COUNT = 20_000 if CAMPAIGN else 2_000
-TAKEN = ("on", "off", "0x10", "0o17", "0b101")
+TAKEN = ("on", "off", "0x10", "0o17", "0b101", "enable", "disable")
 """Texts, in any case and with blanks round them, of truth values and of whole numbers that one reading takes now."""
 REFUSED = ("4.0", "1e3", "0.25", "1e-3", "_")
 """Texts that the schema took for whole numbers, and the reader never did."""
 SETTINGS = {("control", "mode"): "a", ("record", "min_free"): 1e13, ("replay", "rate"): 0, ("replay", "speed"): -1}
 """Settings of services whose range or words the schema did not know, and the reader did; with a value out of range."""
+OPTIONS = ("rate", "max_rate", "deadline", "every")
+"""Options of contexts whose ranges the schema has now; the contexts refused such values before."""
 UNSAID = {
     "what else there is": (
         *("^unknown component", "^unknown member", "no set ", "no member", "no component named ", "no such parameter"),
@@ -141,16 +143,27 @@ def places(error: jsonschema.ValidationError) -> Iterator[str | int]:
 
 
 def is_named(place: tuple[str | int, ...], value: Any, *, now: bool) -> bool:
-    """Whether the value is in one of the lists of what is taken, or refused, now."""
-    text = value.strip().lower() if isinstance(value, str) else None
-    return text in (TAKEN if now else REFUSED) or (not now and place[:2] in SETTINGS)
+    """Whether the value, or one in it, is in one of the lists of what is taken, or refused, now."""
+    found = list(leaves(value))
+    texts = {leaf.strip().lower() for _, leaf in found if isinstance(leaf, str)}
+    of_context = place[:1] == ("contexts",) and any(key in OPTIONS for key in (*place[2:], *(key for key, _ in found)))
+    return bool(texts & {*(TAKEN if now else REFUSED)}) or (not now and (place[:2] in SETTINGS or of_context))
+
+
+def leaves(value: Any, key: str | int = "") -> Iterator[tuple[str | int, Any]]:
+    """The values of a table or list that are neither, with the key of each."""
+    if not isinstance(value, dict | list):
+        yield key, value
+        return
+    for inner, one in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from leaves(one, inner)
 
 
 @pytest.mark.slow
 def test_two_thousand_files_are_taken_and_refused_as_before(
     files: list[dict[str, Any]], makers: tuple[Maker, Maker], verdicts: list[tuple[bool, bool]]
 ) -> None:
-    assert len(TAKEN) + len(REFUSED) + len(SETTINGS) <= 20
+    assert len(TAKEN) + len(REFUSED) + len(SETTINGS) + len(OPTIONS) <= 20
     unrefused = {*NOW["properties"], "start", "supervision"}
     for file, (now, before) in zip(files, verdicts, strict=True):
         if now != before:
@@ -168,7 +181,7 @@ def test_two_thousand_files_are_taken_and_refused_as_before(
 
 @pytest.mark.parametrize("word", TAKEN)
 def test_what_is_taken_now_the_reader_takes(word: str, folder: Path) -> None:
-    key = "allow_duplicate" if word.startswith("o") else "length"
+    key = "length" if word.startswith("0") else "allow_duplicate"
     assert refused({**CONNECTED, "connections": [{**PAIR, key: word}]}, folder) == []
 
 
