@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-class Ends(Protocol):
+class AnyConnector(Protocol):
     """A connector of any kind."""
 
     @property
@@ -18,7 +18,7 @@ class Ends(Protocol):
     def closed(self) -> bool: ...
 
 
-C = TypeVar("C", bound=Ends)
+C = TypeVar("C", bound=AnyConnector)
 
 
 class _Owner(Protocol):

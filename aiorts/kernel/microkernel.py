@@ -42,7 +42,7 @@ from aiorts.model.values import shown
 if TYPE_CHECKING:
     import typing_extensions
 
-    from aiorts.kernel.connection import Ends
+    from aiorts.kernel.connection import AnyConnector
     from aiorts.kernel.execution.deadline_timer import DeadlineTimer
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.ports.connector import Connector
@@ -55,7 +55,7 @@ T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 X = TypeVar("X", bound=Context)
 if TYPE_CHECKING:
-    Made = typing_extensions.TypeVar("Made", bound=Ends, default=Connector)
+    Made = typing_extensions.TypeVar("Made", bound=AnyConnector, default=Connector)
 
 
 class Microkernel:

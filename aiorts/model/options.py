@@ -138,6 +138,11 @@ def without_identity(options: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in options.items() if key != "name" and key not in AGAIN}
 
 
+def has_buffer(options: Mapping[str, Any]) -> bool:
+    """Whether a connector with these options has a buffer; without one a write waits until its sample is taken."""
+    return options.get("length") != 0
+
+
 OPENRTM: Final = "openrtm"
 """The keyword of `connect` whose value is a mapping of OpenRTM's keys, which have dots and so cannot be keywords."""
 

@@ -9,10 +9,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+
+R = TypeVar("R")
+
+
+def row_of(kind: type[R], values: Sequence[Any]) -> R:
+    """The row of this kind with these values; values for the fields of a newer release are left out."""
+    row: Any = kind
+    made: R = row(*values[: len(row._fields)])
+    return made
 
 
 class ConnectorCounters(NamedTuple):
@@ -32,7 +41,7 @@ class ConnectorCounters(NamedTuple):
     @classmethod
     def of(cls, row: Sequence[Any]) -> Self:
         """The counters in a row of an answer; fields of a newer kernel are left out."""
-        return cls(*row[: len(cls._fields)])
+        return row_of(cls, row)
 
     @property
     def lost(self) -> int:

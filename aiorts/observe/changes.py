@@ -12,13 +12,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.loop.bus import Assembled, Event
-from aiorts.kernel.loop.bus import Closing as KernelCloses
+from aiorts.kernel.loop.bus import Assembled, Closing, Event
 from aiorts.kernel.loop.turns import in_turns
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.observe.change_values import Change, Part, ProfileSnapshot
-from aiorts.observe.iterating import Closing, Waiter
+from aiorts.observe.iterating import ClosableIterator, Waiter
 from aiorts.observe.profiling import (
     component_report,
     connector_report,
@@ -47,7 +46,7 @@ _ONE: Final = ("component", "composite")
 """Fields of events that name a component."""
 
 
-class Changes(Closing):
+class Changes(ClosableIterator):
     """An async iterator of `ProfileSnapshot` and `Change`, for one task; ends with its kernel, or with `close()`."""
 
     def __init__(self, kernel: Microkernel, length: int, sink: Callable[[Change], object] | None = None) -> None:
@@ -97,7 +96,7 @@ class Changes(Closing):
         if self._stale:
             self._missed += 1
             return
-        if not (parts or isinstance(event, (Assembled, KernelCloses))):
+        if not (parts or isinstance(event, (Assembled, Closing))):
             return
         if self._sink is not None:
             self._sink(Change(event.sequence, event, parts))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from typing import Self
 
 
-class Closing:
+class ClosableIterator:
     """An async iterator that `close()` ends, as the end of `async with` does."""
 
     def close(self) -> None:

@@ -33,7 +33,7 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.profile import ConnectorStatistics
-from aiorts.observe.iterating import Closing, Waiter
+from aiorts.observe.iterating import ClosableIterator, Waiter
 from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Reading:
     """Readings left out since the last one: the reader was slower than the rate."""
 
 
-class Monitor(Closing):
+class Monitor(ClosableIterator):
     """An async iterator of `Reading`, `rate` times a second on the kernel's clock; ends with its kernel, or `close()`.
 
     `async with` closes it.

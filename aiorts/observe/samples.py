@@ -16,7 +16,7 @@ from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.port import host_of
 from aiorts.model.declared import kinds_of
 from aiorts.model.profile import ConnectorProfile
-from aiorts.observe.iterating import Closing, Waiter
+from aiorts.observe.iterating import ClosableIterator, Waiter
 
 if TYPE_CHECKING:
     from aiorts.kernel.loop.bus import Bus
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Samples(Closing, AsyncIterator[T], Generic[T]):
+class Samples(ClosableIterator, AsyncIterator[T], Generic[T]):
     """An async iterator of the samples that an out-port writes, for one task; see `Kernel.samples`.
 
     It ends with its kernel, with its port, with `close()` or `aclose()`, at the end of `async with`, and when nothing

@@ -32,7 +32,7 @@ DECLARED = MappingProxyType(
 )
 ACTS = MappingProxyType(
     {
-        "aiorts/adapting/inserting.py": ("inserts a FlexiFilter", "adapt"),
+        "aiorts/adapting/inserting.py": ("inserts a FlexiFilter, and refuses a converter with it", "adapt convert"),
         "aiorts/adapting/proposing.py": ("finds the mapping of a FlexiFilter", "adapt"),
         "aiorts/assembly.py": ("inserts a FlexiFilter; gives samples of a port", "adapt keep_last"),
         "aiorts/cli/commands/live/connecting.py": ("takes a converter's file; has the kernel adapt", "adapt convert"),
@@ -87,6 +87,7 @@ ACTS = MappingProxyType(
             "full keep_last length lifespan push subscription timeout",
         ),
         "aiorts/system/file/pairs.py": ("refuses a second connector of two ports", "allow_duplicate"),
+        "aiorts/kernel/microkernel.py": ("loads converters that a text names", "convert"),
         "aiorts/observe/html.py": ("marks the edges that send at once", "subscription"),
         "aiorts/observe/introspection.py": ("refuses a length of no samples", "length"),
         "aiorts/observe/listening.py": ("takes writes without a reader", "full out_length"),
@@ -103,7 +104,7 @@ ACTS = MappingProxyType(
         "aiorts/rules/rule.py": ("refuses options of one pair in a rule", "adapt allow_duplicate push_rate"),
         "aiorts/services/service_port.py": ("binds interfaces", "mapping"),
         "aiorts/services/service_wiring.py": ("binds interfaces", "mapping strict"),
-        "aiorts/system/checks/adapting.py": ("checks what would be inserted", "adapt"),
+        "aiorts/system/checks/adapting.py": ("checks what would be inserted", "adapt convert"),
         "aiorts/system/checks/circles.py": ("follows waits and first samples", "dataflow keep_last"),
         "aiorts/system/checks/connection_checks.py": ("checks stamps and converters", "convert stamp subscription"),
         "aiorts/system/checks/running.py": ("follows the way of the samples", "dataflow"),
@@ -115,6 +116,7 @@ ACTS = MappingProxyType(
         "aiorts/system/draw/picture.py": ("draws edges", "dataflow full length push push_rate subscription"),
         "aiorts/system/file/load.py": ("loads converters", "convert"),
         "aiorts/system/file/survey.py": ("reads what needs other files", "convert on_link_lost push_rate"),
+        "aiorts/system/wanting.py": ("binds interfaces as the kernel would", "strict"),
         "plugins/aiorts_bench/interprocess/near.py": ("measures it", "subscription"),
         "plugins/aiorts_bench/push/ageing.py": ("measures it", "push_rate subscription"),
         "plugins/aiorts_bench/push/answer.py": ("measures it", "push_rate subscription"),
@@ -186,7 +188,10 @@ def _names(node: ast.AST, prose: set[int]) -> str | None:
     match node:
         case ast.Attribute(value=value, attr=name):
             return name if name not in EVERYDAY or _last(value).endswith("profile") else None
-        case ast.Subscript(value=value, slice=ast.Constant(value=str(name))):
+        case (
+            ast.Subscript(value=value, slice=ast.Constant(value=str(name)))
+            | ast.Call(func=ast.Attribute(value=value, attr="get"), args=[ast.Constant(value=str(name)), *_])
+        ):
             return name if _last(value) in ("options", "own", "chosen", "given", "extra") else None
         case ast.Constant(value=str(name)) if id(node) not in prose:
             return name if name not in EVERYDAY else None
@@ -215,8 +220,11 @@ def named() -> dict[str, set[str]]:
 
 
 def test_what_a_file_names_is_found() -> None:
-    assert named_in('options["skip"], profile.length, other.length, f(lifespan=1), {"keep_last": 1}') == {
+    assert named_in(
+        'options["skip"], own.get("full"), profile.length, other.length, f(lifespan=1), {"keep_last": 1}'
+    ) == {
         "skip",
+        "full",
         "length",
         "lifespan",
         "keep_last",

@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
 from aiorts.model.naming import Numbering
-from aiorts.model.options import CHANGEABLE, USUAL_APART, without_identity
+from aiorts.model.options import CHANGEABLE, USUAL_APART, has_buffer, without_identity
 from aiorts.model.wanted.entries import (
     CHANGED_BY_RULE,
     ComponentEntry,
@@ -379,7 +379,7 @@ def _components_of(connection: ConnectionEntry) -> list[str]:
 
 def _in_place(before: ConnectionEntry, after: ConnectionEntry) -> bool:
     """Whether a connector can be changed in place: a connector without a buffer is of another kind."""
-    return (before.options.get("length") == 0) is (after.options.get("length") == 0)
+    return has_buffer(before.options) is has_buffer(after.options)
 
 
 def _is_rate_alone(before: ContextEntry, after: ContextEntry) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from aiorts.cli.commands.live.ledger import EXACT
-from aiorts.model.timing import SpanFigures
+from aiorts.model.timing import SpanFigures, row_of
 
 
 def span_text(ns: float) -> str:
@@ -26,7 +26,7 @@ def within_text(within_ns: int | None) -> str:
 
 def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
     """Measured spans from a kernel's answer as JSON has them, in nanoseconds."""
-    return None if spans is None else SpanFigures(*spans)._asdict()
+    return None if spans is None else row_of(SpanFigures, spans)._asdict()
 
 
 def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
@@ -34,7 +34,7 @@ def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
     of the age."""
     texts = []
     for what in (one for one in kinds if one in found):
-        spans = SpanFigures(*found[what])
+        spans = row_of(SpanFigures, found[what])
         p50, p99, most = map(span_text, (spans.p50_ns, spans.p99_ns, spans.max_ns))
         off = within_text(found["within"][0]) if what == "age" and "within" in found else ""
         texts.append("age ?" if off == "?" else f"{what} p50 {p50}{off}  p99 {p99}  max {most}")

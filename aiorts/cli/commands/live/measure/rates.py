@@ -18,7 +18,7 @@ from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
 from aiorts.errors import AbsentError, ClosedError
-from aiorts.model.timing import Size, SpanFigures
+from aiorts.model.timing import Size, SpanFigures, row_of
 from aiorts.sessions import RightName
 
 Show = Callable[[Counters], bool]
@@ -123,7 +123,7 @@ def bw(name: str, interval: float, until: float | None, count: int | None, timeo
                 sizes = running.client.call("sizes", connectors=list(rates))
                 due = time.monotonic() + _SIZED_EVERY
             for edge in ended:
-                size = Size(*sizes.get(edge.name, (None, "not looked at yet")))
+                size = row_of(Size, sizes.get(edge.name, (None, "not looked at yet")))
                 rate = rates[edge.name].windows[-1]
                 through, text = None, size.why
                 if size.bytes is not None:
@@ -202,7 +202,7 @@ def _print(edge: Edge, text: str, found: Mapping[str, Any], *, as_json: bool) ->
 def _spans(found: Mapping[str, Any]) -> str:
     if not found:
         return "nothing was read"
-    samples = SpanFigures(*found["latency"]).samples
+    samples = row_of(SpanFigures, found["latency"]).samples
     return f"{spans_text(found, *_TIMED)}  samples {samples}{UP_TO_LINK if 'link' in found else ''}"
 
 
